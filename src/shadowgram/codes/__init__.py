@@ -1,0 +1,5 @@
+"""Coded apertures: random, complementary and colored patterns, all seeded, uint8, (shot, y, x)."""
+
+import lazy_loader as _lazy
+
+__getattr__, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)

@@ -1,0 +1,1 @@
+"""Spectral imagers: SSCSI, CASSI, dual-disperser and colored CASSI."""

@@ -1,0 +1,115 @@
+"""The SSCSI as a matrix-free operator.
+
+Two kernels: binary codes with one column of shear a band (the imager's own bands) sum masks of one bit a shot over a cube
+that was blended along the bands; gray codes and other shears weigh the code itself. See docs/decisions/0005-sscsi-kernels.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from shadowgram._threads import run_chunks
+from shadowgram.operators.base import LinearOperator, Shape
+from shadowgram.operators.structure import shot_gram
+
+from . import _sscsi_kernels as kernels
+from .resolution import DETECTOR_LIMITED
+
+if TYPE_CHECKING:
+    from .sscsi import SSCSI
+
+
+TILE = 128  # pieces whose bands, blended bands and sums fit the first-level cache together
+
+
+def _tiling(pieces: int) -> tuple[int, int]:
+    """(tiles, pieces in a tile): as even as can be, in whole vectors of 8."""
+    tiles = -(-pieces // TILE)
+    return tiles, -(-pieces // (8 * tiles)) * 8
+
+
+@dataclass(frozen=True, eq=False)
+class SSCSIOperator(LinearOperator):
+    """Datacube (band, y, x) → snapshots (shot, y, x) through an `SSCSI` and a code (shot, y, x)."""
+
+    imager: SSCSI
+    code: np.ndarray
+
+    @property
+    def in_shape(self) -> Shape:
+        """(band, y, x) of the datacube."""
+        return self.imager.resolution.cube_shape
+
+    @property
+    def out_shape(self) -> Shape:
+        """(shot, y, x) of the snapshots."""
+        return (len(self.code), *self.imager.detector_shape)
+
+    @property
+    def _packed(self) -> bool:
+        return self.imager._table.unit_shear and self.code.dtype == np.uint8
+
+    @cached_property
+    def _masks(self) -> np.ndarray:
+        """(y, group, tile, column, piece) uint8: bit q of group g is the mask of shot 8g + q at first[0, piece] + column."""
+        table = self.imager._table
+        columns = table.first.shape[0] + table.weights.shape[0] - 1
+        packed = np.packbits(self.code, axis=0, bitorder="little")
+        tiles, size = _tiling(table.first.shape[1])
+        masks = np.empty((packed.shape[1], packed.shape[0], tiles, columns, size), np.uint8)
+        run_chunks(kernels.pack_masks, packed.shape[1], 16, packed, table.first[0], masks)
+        return masks
+
+    def _band_weights(self, dtype: np.dtype) -> np.ndarray:
+        """(tile, j, piece) weights, the same in every band."""
+        weights = self.imager._table.weights[:, 0]
+        tiles, size = _tiling(weights.shape[1])
+        padded = np.pad(weights, ((0, 0), (0, tiles * size - weights.shape[1])))
+        return np.ascontiguousarray(padded.reshape(-1, tiles, size).swapaxes(0, 1), dtype)
+
+    @cached_property
+    def _padded(self) -> tuple[np.ndarray, np.ndarray]:
+        """The code with closed columns beside it, and the first column of every (band, piece) in it."""
+        table = self.imager._table
+        reach = table.weights.shape[0]
+        code = np.pad(self.code, ((0, 0), (0, 0), (reach, reach)))
+        return code, np.clip(table.first, -reach, self.code.shape[2]) + reach
+
+    def _forward(self, x: np.ndarray, out: np.ndarray) -> None:
+        pieces, rows = self.imager._pieces, self.out_shape[1]
+        if self._packed:
+            weights, whole = self._band_weights(x.dtype), pieces.columns == len(pieces.voxel)
+            run_chunks(
+                kernels.packed_forward, rows, 8, x, self._masks, weights, pieces.voxel, pieces.detector, whole, out
+            )
+        else:
+            code, first = self._padded
+            weights = self.imager._table.weights
+            run_chunks(kernels.gray_forward, rows, 8, x, code, first, weights, pieces.voxel, pieces.detector, out)
+
+    def _adjoint(self, y: np.ndarray, out: np.ndarray) -> None:
+        pieces, rows = self.imager._pieces, self.out_shape[1]
+        if self._packed:
+            weights, whole = self._band_weights(y.dtype), pieces.columns == len(pieces.voxel)
+            run_chunks(
+                kernels.packed_adjoint, rows, 8, y, self._masks, weights, pieces.voxel, pieces.detector, whole, out
+            )
+        else:
+            code, first = self._padded
+            weights = self.imager._table.weights
+            run_chunks(kernels.gray_adjoint, rows, 8, y, code, first, weights, pieces.voxel, pieces.detector, out)
+
+
+@shot_gram.register
+def _(A: SSCSIOperator) -> np.ndarray | None:
+    if A.imager.resolution.regime != DETECTOR_LIMITED:
+        return None  # a voxel can fall on two detector elements, which couples them
+    shots, rows, columns = A.out_shape
+    gram = np.empty((shots, shots, rows, columns))
+    code, first = A._padded
+    run_chunks(kernels.gray_gram, rows, 8, code, first, A.imager._table.weights, gram)
+    return gram
