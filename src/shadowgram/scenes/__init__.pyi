@@ -1,0 +1,5 @@
+from .colour import to_rgb as to_rgb
+from .datacube import as_datacube as as_datacube
+from .generated import chart as chart
+from .readers import read as read
+from .readers import write as write
