@@ -1,0 +1,10 @@
+"""Reading and writing datacubes: native NetCDF, MATLAB and NumPy files.
+
+`native`, `hdf5_isolated`, `mat5` and `numpy_files` each list the variables of one kind of file; `choose` picks the
+cube, its axes and its wavelengths among them; `cube` has the two public doors.
+"""
+
+from .cube import read as read
+from .cube import write as write
+
+__all__ = ["read", "write"]
