@@ -1,4 +1,5 @@
 from . import codes as codes
+from . import measurement as measurement
 from . import metrics as metrics
 from . import noise as noise
 from . import operators as operators
@@ -18,3 +19,5 @@ from .spectral.cassi import CASSI as CASSI
 from .spectral.cassi import DualCASSI as DualCASSI
 from .spectral.colored import ColoredCASSI as ColoredCASSI
 from .spectral.sscsi import SSCSI as SSCSI
+
+__version__: str

@@ -61,6 +61,7 @@ def test_four_filters_are_used_equally():
     ("call", "message"),
     [
         (lambda: sg.codes.boolean(shots=0, shape=(4, 4), seed=0), "at least one shot"),
+        (lambda: sg.codes.boolean(shots=2, shape=(4, 4), seed=-1), "seed must be a whole number"),
         (lambda: sg.codes.boolean(shots=2, shape=(4, 0), seed=0), r"must be \(y, x\)"),
         (lambda: sg.codes.boolean(shots=2, shape=(2, 4, 4), seed=0), r"must be \(y, x\)"),
         (lambda: sg.codes.colored(shots=2, shape=(4, 4), seed=0), r"must be \(band, y, x\)"),

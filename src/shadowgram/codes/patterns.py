@@ -35,10 +35,10 @@ def random(*, shots: int, shape: tuple[int, int], seed: int, transmittance: floa
     >>> sg.codes.random(shots=2, shape=(64, 64), seed=0).mean(axis=(1, 2)).round(1)
     array([0.5, 0.5])
     """
-    size = _checked_size(shots, shape, axes=2)
+    size, rng = _checked_size(shots, shape, axes=2), _generator(seed)
     if not 0 < transmittance <= 1:
         raise ValueError(f"transmittance must lie in (0, 1], got {transmittance}")
-    return (np.random.default_rng(seed).random(size) < transmittance).astype(np.uint8)
+    return (rng.random(size) < transmittance).astype(np.uint8)
 
 
 def boolean(*, shots: int, shape: tuple[int, int], seed: int) -> np.ndarray:
@@ -70,7 +70,7 @@ def boolean(*, shots: int, shape: tuple[int, int], seed: int) -> np.ndarray:
     >>> code.shape, bool((code.sum(axis=0) == 1).all())
     ((3, 8, 8), True)
     """
-    return _one_open_shot(shots, _checked_size(shots, shape, axes=2)[1:], np.random.default_rng(seed))
+    return _one_open_shot(shots, _checked_size(shots, shape, axes=2)[1:], _generator(seed))
 
 
 def colored(*, shots: int, shape: tuple[int, int, int], seed: int, filters: str = "ideal") -> np.ndarray:
@@ -106,7 +106,7 @@ def colored(*, shots: int, shape: tuple[int, int, int], seed: int, filters: str 
     np.True_
     """
     size = _checked_size(shots, shape, axes=3)[1:]
-    rng = np.random.default_rng(seed)
+    rng = _generator(seed)
     if filters == "ideal":
         return _one_open_shot(shots, size, rng)
     if filters != "four":
@@ -166,6 +166,12 @@ def _checked_size(shots: int, shape: tuple[int, ...], axes: int) -> tuple[int, .
         names = ("band", "y", "x")[-axes:]
         raise ValueError(f"the code's shape must be ({', '.join(names)}) with positive sizes, got {tuple(shape)}")
     return (int(shots), *(int(n) for n in shape))
+
+
+def _generator(seed: int) -> np.random.Generator:
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise ValueError(f"seed must be a whole number of at least 0, got {seed!r}")
+    return np.random.default_rng(seed)
 
 
 def _one_open_shot(shots: int, size: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:

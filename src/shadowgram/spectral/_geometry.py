@@ -90,7 +90,8 @@ def column_table(pieces: Pieces, bands: int, step: float, shear: str) -> ColumnT
     first = np.floor(start + ROUNDING)
     reach = int(np.ceil((start - first + pieces.width + spread).max() - ROUNDING))
     edges = first + np.arange(reach + 1)[:, None, None] - start
-    weights = np.diff(_share_below(edges, pieces.width, spread), axis=0) * pieces.share
+    # Rounding can leave a share of -1e-17, which no transmittance has.
+    weights = np.maximum(np.diff(_share_below(edges, pieces.width, spread), axis=0), 0) * pieces.share
     first = first.astype(np.int32)
     if unit:
         first = first + np.arange(bands, dtype=np.int32)[:, None]

@@ -12,19 +12,11 @@ def _load_code_rows(code, y, rows):
             rows[q, u] = code[q, y, u]
 
 
-@njit(cache=True, nogil=True, fastmath={"contract"})
-def _multiply_add(a, b, total):
-    for i in range(total.size):
-        total[i] += total.dtype.type(a[i]) * b[i]
+# Rows are indexed in place, with unsigned offsets: an array view costs atomic reference counts, and an index that may be negative
+# keeps a loop scalar.
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _multiply(a, b, product):
-    for i in range(product.size):
-        product[i] = product.dtype.type(a[i]) * b[i]
-
-
-@njit(cache=True, nogil=True)
 def shift_forward(start, stop, x, code, code_shift, out_shift, out):
     """g[q, y, x + k·out_shift] = Σ_k t[q, y, x + k·code_shift] f[k, y, x]."""
     bands, _, nx = x.shape
@@ -34,12 +26,13 @@ def shift_forward(start, stop, x, code, code_shift, out_shift, out):
         _load_code_rows(code, y, t)
         out[:, y] = 0
         for k in range(bands):
-            u, v = k * code_shift, k * out_shift
+            u, v = np.uintp(k * code_shift), np.uintp(k * out_shift)
             for q in range(shots):
-                _multiply_add(t[q, u : u + nx], x[k, y], out[q, y, v : v + nx])
+                for i in range(nx):
+                    out[q, y, v + np.uintp(i)] += t[q, u + np.uintp(i)] * x[k, y, i]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def shift_adjoint(start, stop, g, code, code_shift, out_shift, out):
     """f[k, y, x] = Σ_q t[q, y, x + k·code_shift] g[q, y, x + k·out_shift]."""
     bands, _, nx = out.shape
@@ -48,31 +41,36 @@ def shift_adjoint(start, stop, g, code, code_shift, out_shift, out):
     for y in range(start, stop):
         _load_code_rows(code, y, t)
         for k in range(bands):
-            u, v = k * code_shift, k * out_shift
-            _multiply(t[0, u : u + nx], g[0, y, v : v + nx], out[k, y])
+            u, v = np.uintp(k * code_shift), np.uintp(k * out_shift)
+            for i in range(nx):
+                out[k, y, i] = t[0, u + np.uintp(i)] * g[0, y, v + np.uintp(i)]
             for q in range(1, shots):
-                _multiply_add(t[q, u : u + nx], g[q, y, v : v + nx], out[k, y])
+                for i in range(nx):
+                    out[k, y, i] += t[q, u + np.uintp(i)] * g[q, y, v + np.uintp(i)]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def colored_forward(start, stop, x, code, out_shift, out):
     """g[q, y, x + k·out_shift] = Σ_k t[q, k, y, x] f[k, y, x]."""
     shots, bands, _, nx = code.shape
     for y in range(start, stop):
         out[:, y] = 0
         for k in range(bands):
-            v = k * out_shift
+            v = np.uintp(k * out_shift)
             for q in range(shots):
-                _multiply_add(code[q, k, y], x[k, y], out[q, y, v : v + nx])
+                for i in range(nx):
+                    out[q, y, v + np.uintp(i)] += out.dtype.type(code[q, k, y, i]) * x[k, y, i]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def colored_adjoint(start, stop, g, code, out_shift, out):
     """f[k, y, x] = Σ_q t[q, k, y, x] g[q, y, x + k·out_shift]."""
     shots, bands, _, nx = code.shape
     for y in range(start, stop):
         for k in range(bands):
-            v = k * out_shift
-            _multiply(code[0, k, y], g[0, y, v : v + nx], out[k, y])
+            v = np.uintp(k * out_shift)
+            for i in range(nx):
+                out[k, y, i] = out.dtype.type(code[0, k, y, i]) * g[0, y, v + np.uintp(i)]
             for q in range(1, shots):
-                _multiply_add(code[q, k, y], g[q, y, v : v + nx], out[k, y])
+                for i in range(nx):
+                    out[k, y, i] += out.dtype.type(code[q, k, y, i]) * g[q, y, v + np.uintp(i)]

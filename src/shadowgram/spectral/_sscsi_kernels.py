@@ -20,127 +20,75 @@ def pack_masks(start, stop, packed, first, masks):
 
 
 @njit(cache=True, nogil=True)
-def _load_tile(x, n, begin, voxel, whole, tile):
-    """tile[k, i] = x[k, n, voxel[begin + i]], zero past the last piece; `whole` says that the pieces are the voxels, in order."""
+def _load_tile(x, n, begin, voxel, tile):
+    """tile[k + 2, i] = x[k, n, voxel[begin + i]]; what is past the last piece stays as it was, and reaches no result."""
     size = min(tile.shape[1], voxel.size - begin)
+    whole = voxel.size == x.shape[2]  # the pieces are the voxels, in order
     n, offset = np.uintp(n), np.uintp(begin)  # unsigned: an index that may be negative would keep the loop scalar
-    for k in range(tile.shape[0]):
+    for k in range(x.shape[0]):
         if whole:
             for i in range(size):
-                tile[k, i] = x[k, n, offset + np.uintp(i)]
+                tile[k + 2, i] = x[k, n, offset + np.uintp(i)]
         else:
             for i in range(size):
-                tile[k, i] = x[k, n, voxel[begin + i]]
-        for i in range(size, tile.shape[1]):
-            tile[k, i] = 0
-
-
-@njit(cache=True, nogil=True)
-def _store_tile(tile, n, begin, voxel, whole, out):
-    """out[k, n, voxel[begin + i]] = tile[k, i], summed over the pieces of a voxel."""
-    size = min(tile.shape[1], voxel.size - begin)
-    n, offset = np.uintp(n), np.uintp(begin)
-    for k in range(tile.shape[0]):
-        if whole:
-            for i in range(size):
-                out[k, n, offset + np.uintp(i)] = tile[k, i]
-        else:
-            for i in range(size):
-                out[k, n, voxel[begin + i]] += tile[k, i]
+                tile[k + 2, i] = x[k, n, voxel[begin + i]]
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _add_weighted(weights, row, total):
-    for i in range(total.size):
-        total[i] += weights[i] * row[i]
-
-
-@njit(cache=True, nogil=True, fastmath={"contract"})
-def _add_three(weights, a, b, c, total):
-    w, v, u = weights[0], weights[1], weights[2]
-    for i in range(total.size):
-        total[i] = w[i] * a[i] + v[i] * b[i] + u[i] * c[i]
-
-
-@njit(cache=True, nogil=True)
-def _blend_tile(tile, weights, blended):
-    """blended[c] = Σ_j weights[j] tile[c − j]."""
-    bands, reach = tile.shape[0], weights.shape[0]
+def _blend_tile(tile, weights, t, blended):
+    """blended[c] = Σ_j weights[t, j] tile[c − j + 2]: the bands between two rows of zeros on either side."""
     for c in range(blended.shape[0]):
-        row = blended[c]
-        if reach == 3 and 2 <= c < bands:  # nearly all rows of the exact shear, in one pass
-            _add_three(weights, tile[c], tile[c - 1], tile[c - 2], row)
-        else:
-            row[:] = 0
-            for j in range(max(0, c - bands + 1), min(reach, c + 1)):
-                _add_weighted(weights[j], tile[c - j], row)
-
-
-@njit(cache=True, nogil=True)
-def _unblend_tile(summed, weights, tile):
-    """tile[k] = Σ_j weights[j] summed[k + j], the transpose of `_blend_tile`."""
-    reach = weights.shape[0]
-    for k in range(tile.shape[0]):
-        row = tile[k]
-        if reach == 3:
-            _add_three(weights, summed[k], summed[k + 1], summed[k + 2], row)
-        else:
-            row[:] = 0
-            for j in range(reach):
-                _add_weighted(weights[j], summed[k + j], row)
+        for i in range(blended.shape[1]):
+            blended[c, i] = (
+                weights[t, 0, i] * tile[c + 2, i] + weights[t, 1, i] * tile[c + 1, i] + weights[t, 2, i] * tile[c, i]
+            )
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _add_masked(masks, values, sums):
-    """sums[q] += 2^q values[c] where bit q of masks[c] is set. The factor saves a shift; the caller divides it out, exactly."""
+def _add_masked(masks, n, g, t, values, sums):
+    """sums[8g + q] += 2^q values[c] where bit q of masks[c] is set. The factor saves a shift; `_store_sums` divides it out."""
     kind = values.dtype.type
-    shots = sums.shape[0]
+    columns, size = values.shape
+    shots = min(8, sums.shape[0] - 8 * g)
     for q in range(0, shots - 2, 3):
-        one, two, four = np.uint8(1 << q), np.uint8(2 << q), np.uint8(4 << q)
-        s, t, u = sums[q], sums[q + 1], sums[q + 2]
-        for c in range(values.shape[0]):
-            v, m = values[c], masks[c]
-            for i in range(s.size):
-                s[i] += v[i] * kind(m[i] & one)
-                t[i] += v[i] * kind(m[i] & two)
-                u[i] += v[i] * kind(m[i] & four)
+        one, two, four, s = np.uint8(1 << q), np.uint8(2 << q), np.uint8(4 << q), 8 * g + q
+        for c in range(columns):
+            for i in range(size):
+                v, m = values[c, i], masks[n, g, t, c, i]
+                sums[s, i] += v * kind(m & one)
+                sums[s + 1, i] += v * kind(m & two)
+                sums[s + 2, i] += v * kind(m & four)
     for q in range(shots - shots % 3, shots):
-        one, s = np.uint8(1 << q), sums[q]
-        for c in range(values.shape[0]):
-            v, m = values[c], masks[c]
-            for i in range(s.size):
-                s[i] += v[i] * kind(m[i] & one)
-
-
-@njit(cache=True, nogil=True, fastmath={"contract"})
-def _sum_masked(masks, values, summed):
-    """summed[c] += Σ_q 2^q values[q] where bit q of masks[c] is set."""
-    kind = values.dtype.type
-    shots = values.shape[0]
-    for q in range(0, shots - 2, 3):
-        one, two, four = np.uint8(1 << q), np.uint8(2 << q), np.uint8(4 << q)
-        s, t, u = values[q], values[q + 1], values[q + 2]
-        for c in range(summed.shape[0]):
-            row, m = summed[c], masks[c]
-            for i in range(row.size):
-                row[i] += s[i] * kind(m[i] & one) + t[i] * kind(m[i] & two) + u[i] * kind(m[i] & four)
-    for q in range(shots - shots % 3, shots):
-        one, s = np.uint8(1 << q), values[q]
-        for c in range(summed.shape[0]):
-            row, m = summed[c], masks[c]
-            for i in range(row.size):
-                row[i] += s[i] * kind(m[i] & one)
+        one, s = np.uint8(1 << q), 8 * g + q
+        for c in range(columns):
+            for i in range(size):
+                sums[s, i] += values[c, i] * kind(masks[n, g, t, c, i] & one)
 
 
 @njit(cache=True, nogil=True)
-def packed_forward(start, stop, x, masks, weights, voxel, detector, whole, out):
+def _store_sums(sums, m, begin, detector, out):
+    """out[q, m, detector[begin + i]] = sums[q, i] / 2^(q mod 8), summed over the pieces of a detector element."""
+    size = min(sums.shape[1], detector.size - begin)
+    m, offset = np.uintp(m), np.uintp(begin)
+    for q in range(out.shape[0]):
+        scale = sums.dtype.type(1 / (1 << (q % 8)))
+        if detector.size == out.shape[2]:
+            for i in range(size):
+                out[q, m, offset + np.uintp(i)] = sums[q, i] * scale
+        else:
+            for i in range(size):
+                out[q, m, detector[begin + i]] += sums[q, i] * scale
+
+
+@njit(cache=True, nogil=True)
+def packed_forward(start, stop, x, masks, weights, voxel, detector, out):
     """g[q, m] = Σ_p∈m Σ_c t_q[first[p] + c] Σ_j w[j, p] f[c − j, p], summed over the code rows of each detector row.
 
-    The weights come by tiles, (tile, j, T).
+    The weights come by tiles, (tile, 3, T). Rows are indexed in place: an array view costs atomic reference counts.
     """
     code_rows, groups, tiles, columns, size = masks.shape
     shots, r = out.shape[0], code_rows // out.shape[1]
-    tile = np.empty((x.shape[0], size), x.dtype)
+    tile = np.zeros((x.shape[0] + 4, size), x.dtype)
     blended = np.empty((columns, size), x.dtype)
     sums = np.empty((shots, size), x.dtype)
     for m in range(start, stop):
@@ -148,38 +96,81 @@ def packed_forward(start, stop, x, masks, weights, voxel, detector, whole, out):
         for t in range(tiles):
             sums[:] = 0
             for n in range(m * r, (m + 1) * r):
-                _load_tile(x, n, t * size, voxel, whole, tile)
-                _blend_tile(tile, weights[t], blended)
+                _load_tile(x, n, t * size, voxel, tile)
+                _blend_tile(tile, weights, t, blended)
                 for g in range(groups):
-                    _add_masked(masks[n, g, t], blended, sums[8 * g : 8 * g + 8])
-            for q in range(shots):
-                scale = x.dtype.type(1 / (1 << (q % 8)))
-                for i in range(min(size, detector.size - t * size)):
-                    out[q, m, detector[t * size + i]] += sums[q, i] * scale
+                    _add_masked(masks, n, g, t, blended, sums)
+            _store_sums(sums, m, t * size, detector, out)
 
 
 @njit(cache=True, nogil=True)
-def packed_adjoint(start, stop, y, masks, weights, voxel, detector, whole, out):
-    """f[k, p] = Σ_j w[j, p] Σ_q t_q[first[p] + k + j] g[q, detector[p]]."""
+def _load_values(y, m, begin, detector, values):
+    """values[q, i] = y[q, m, detector[begin + i]] / 2^(q mod 8)."""
+    size = min(values.shape[1], detector.size - begin)
+    m, offset = np.uintp(m), np.uintp(begin)
+    for q in range(y.shape[0]):
+        scale = values.dtype.type(1 / (1 << (q % 8)))
+        if detector.size == y.shape[2]:
+            for i in range(size):
+                values[q, i] = y[q, m, offset + np.uintp(i)] * scale
+        else:
+            for i in range(size):
+                values[q, i] = y[q, m, detector[begin + i]] * scale
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _sum_masked(masks, n, g, t, values, summed):
+    """summed[c] += Σ_q 2^q values[8g + q] where bit q of masks[c] is set."""
+    kind = values.dtype.type
+    columns, size = masks.shape[3:]
+    shots = min(8, values.shape[0] - 8 * g)
+    for q in range(0, shots - 2, 3):
+        one, two, four, s = np.uint8(1 << q), np.uint8(2 << q), np.uint8(4 << q), 8 * g + q
+        for c in range(columns):
+            for i in range(size):
+                m = masks[n, g, t, c, i]
+                near = values[s, i] * kind(m & one) + values[s + 1, i] * kind(m & two)
+                summed[c, i] += near + values[s + 2, i] * kind(m & four)
+    for q in range(shots - shots % 3, shots):
+        one, s = np.uint8(1 << q), 8 * g + q
+        for c in range(columns):
+            for i in range(size):
+                summed[c, i] += values[s, i] * kind(masks[n, g, t, c, i] & one)
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _unblend_tile(summed, weights, t, n, begin, voxel, out):
+    """out[k, n, voxel[begin + i]] = Σ_j weights[t, j] summed[k + j], summed over the pieces of a voxel."""
+    size = min(summed.shape[1], voxel.size - begin)
+    n, offset = np.uintp(n), np.uintp(begin)
+    for k in range(out.shape[0]):
+        if voxel.size == out.shape[2]:
+            for i in range(size):
+                near = weights[t, 0, i] * summed[k, i] + weights[t, 1, i] * summed[k + 1, i]
+                out[k, n, offset + np.uintp(i)] = near + weights[t, 2, i] * summed[k + 2, i]
+        else:
+            for i in range(size):
+                near = weights[t, 0, i] * summed[k, i] + weights[t, 1, i] * summed[k + 1, i]
+                out[k, n, voxel[begin + i]] += near + weights[t, 2, i] * summed[k + 2, i]
+
+
+@njit(cache=True, nogil=True)
+def packed_adjoint(start, stop, y, masks, weights, voxel, detector, out):
+    """f[k, p] = Σ_j w[j, p] Σ_q t_q[first[p] + k + j] g[q, detector[p]]; the weights as in `packed_forward`."""
     code_rows, groups, tiles, columns, size = masks.shape
     shots, r = y.shape[0], code_rows // y.shape[1]
     values = np.zeros((shots, size), y.dtype)
-    summed = np.empty((columns, size), y.dtype)
-    tile = np.empty((out.shape[0], size), y.dtype)
+    summed = np.zeros((out.shape[0] + 2, size), y.dtype)
     for m in range(start, stop):
-        if not whole:
+        if voxel.size != out.shape[2]:
             out[:, m * r : (m + 1) * r] = 0
         for t in range(tiles):
-            for q in range(shots):
-                scale = y.dtype.type(1 / (1 << (q % 8)))
-                for i in range(min(size, detector.size - t * size)):
-                    values[q, i] = y[q, m, detector[t * size + i]] * scale
+            _load_values(y, m, t * size, detector, values)
             for n in range(m * r, (m + 1) * r):
-                summed[:] = 0
+                summed[:columns] = 0
                 for g in range(groups):
-                    _sum_masked(masks[n, g, t], values[8 * g : 8 * g + 8], summed)
-                _unblend_tile(summed, weights[t], tile)
-                _store_tile(tile, n, t * size, voxel, whole, out)
+                    _sum_masked(masks, n, g, t, values, summed)
+                _unblend_tile(summed, weights, t, n, t * size, voxel, out)
 
 
 @njit(cache=True, nogil=True)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from .sscsi import SSCSI
 
 
-TILE = 128  # pieces whose bands, blended bands and sums fit the first-level cache together
+TILE = 256  # pieces whose bands, blended bands and sums fit the second-level cache together
 
 
 def _tiling(pieces: int) -> tuple[int, int]:
@@ -64,12 +64,14 @@ class SSCSIOperator(LinearOperator):
         run_chunks(kernels.pack_masks, packed.shape[1], 16, packed, table.first[0], masks)
         return masks
 
-    def _band_weights(self, dtype: np.dtype) -> np.ndarray:
-        """(tile, j, piece) weights, the same in every band."""
+    @cached_property
+    def _band_weights(self) -> np.ndarray:
+        """(tile, 3, piece) float64 weights, the same in every band: a piece and a band of one column reach three columns."""
         weights = self.imager._table.weights[:, 0]
-        tiles, size = _tiling(weights.shape[1])
-        padded = np.pad(weights, ((0, 0), (0, tiles * size - weights.shape[1])))
-        return np.ascontiguousarray(padded.reshape(-1, tiles, size).swapaxes(0, 1), dtype)
+        reach, pieces = weights.shape
+        tiles, size = _tiling(pieces)
+        padded = np.pad(weights, ((0, 3 - reach), (0, tiles * size - pieces)))
+        return np.ascontiguousarray(padded.reshape(3, tiles, size).swapaxes(0, 1))
 
     @cached_property
     def _padded(self) -> tuple[np.ndarray, np.ndarray]:
@@ -82,10 +84,8 @@ class SSCSIOperator(LinearOperator):
     def _forward(self, x: np.ndarray, out: np.ndarray) -> None:
         pieces, rows = self.imager._pieces, self.out_shape[1]
         if self._packed:
-            weights, whole = self._band_weights(x.dtype), pieces.columns == len(pieces.voxel)
-            run_chunks(
-                kernels.packed_forward, rows, 8, x, self._masks, weights, pieces.voxel, pieces.detector, whole, out
-            )
+            weights = self._band_weights.astype(x.dtype)
+            run_chunks(kernels.packed_forward, rows, 8, x, self._masks, weights, pieces.voxel, pieces.detector, out)
         else:
             code, first = self._padded
             weights = self.imager._table.weights
@@ -94,10 +94,8 @@ class SSCSIOperator(LinearOperator):
     def _adjoint(self, y: np.ndarray, out: np.ndarray) -> None:
         pieces, rows = self.imager._pieces, self.out_shape[1]
         if self._packed:
-            weights, whole = self._band_weights(y.dtype), pieces.columns == len(pieces.voxel)
-            run_chunks(
-                kernels.packed_adjoint, rows, 8, y, self._masks, weights, pieces.voxel, pieces.detector, whole, out
-            )
+            weights = self._band_weights.astype(y.dtype)
+            run_chunks(kernels.packed_adjoint, rows, 8, y, self._masks, weights, pieces.voxel, pieces.detector, out)
         else:
             code, first = self._padded
             weights = self.imager._table.weights

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from ._sscsi_operator import SSCSIOperator
 
 SHEARS = ("exact", "centre", "edge")
+MOST_BANDS = 10_000  # far above any spectrometer: a guard against a unit mistaken, before memory runs out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,6 +101,11 @@ class SSCSI:
         check_choice("shear", self.shear, SHEARS)
         if self.bands is not None:
             check_count("bands", self.bands)
+        if max(self._spectral_columns, self.bands or 0) > MOST_BANDS:
+            raise ValueError(
+                f"this geometry has {max(self._spectral_columns, self.bands or 0):.4g} bands, more than {MOST_BANDS};"
+                " check mask_position, dispersion_ratio and bands"
+            )
 
     @property
     def pitch_ratio(self) -> int:

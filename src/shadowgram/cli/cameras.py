@@ -1,0 +1,261 @@
+"""`shadowgram capture` and `resolution`."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from . import output
+from .arguments import band_range, parse_size, parse_wavelengths, read_code
+from .cubes import read_cube
+from .masks import Kind, make_code
+
+if TYPE_CHECKING:
+    import numpy as np
+    import xarray as xr
+
+    from shadowgram.measurement import Imager, Measurement
+    from shadowgram.spectral.resolution import Resolution
+    from shadowgram.spectral.sscsi import SSCSI
+
+
+class Camera(StrEnum):
+    """Imagers, by the name that the options have for them."""
+
+    sscsi = "sscsi"
+    cassi = "cassi"
+    dual = "dual"
+    colored = "colored"
+    colored4 = "colored4"
+
+
+class Shear(StrEnum):
+    """How an SSCSI model averages the code of a band."""
+
+    exact = "exact"
+    centre = "centre"
+    edge = "edge"
+
+
+DetectorPitch = Annotated[float, typer.Option(help="Side of a detector element, µm.")]
+CodePitch = Annotated[float | None, typer.Option(help="Side of a code element, µm; by default that of the detector.")]
+DispersionRatio = Annotated[float, typer.Option(help="Length of the spectral plane over that of the mask, β.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of code and noise.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+
+
+def capture(
+    context: typer.Context,
+    scene: Annotated[Path, typer.Argument(help="Datacube to take snapshots of.", show_default=False)],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Measurement to write, .nc.")],
+    imager: Annotated[Camera, typer.Option(help="Imager; colored4 has the four filters.")] = Camera.sscsi,
+    shots: Annotated[int, typer.Option(help="Number of snapshots.")] = 3,
+    code: Annotated[str, typer.Option(help="boolean, random, or a file with the code.")] = "boolean",
+    snr: Annotated[float | None, typer.Option(help="Signal-to-noise ratio, dB; by default no noise.")] = None,
+    seed: Seed = 0,
+    wavelengths: Annotated[
+        str | None, typer.Option(help="First and last band of the scene, nm; where its file does not say.")
+    ] = None,
+    mask_position: Annotated[
+        float | None, typer.Option(help="SSCSI: s in [0, 1); by default what resolves the bands of the scene.")
+    ] = None,
+    detector_shape: Annotated[str | None, typer.Option(help="SSCSI: elements y x x; by default the scene's.")] = None,
+    detector_pitch: DetectorPitch = 10.0,
+    code_pitch: CodePitch = None,
+    dispersion_ratio: DispersionRatio = 1.0,
+    shear: Annotated[Shear, typer.Option(help="SSCSI: how the model averages the code of a band.")] = Shear.exact,
+    fine: Annotated[
+        bool,
+        typer.Option("--fine", help="SSCSI: the scene is finer than the imager's bands; measure each where it falls."),
+    ] = False,
+    png: Annotated[Path | None, typer.Option(help="Show codes and snapshots in this PNG.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Simulate the snapshots that an imager takes of a scene.
+
+    Example: shadowgram capture scene.nc -o shots.nc --shots 3 --snr 40
+    """
+    from shadowgram.measurement import AWGN, imager_to_json, write_measurement
+    from shadowgram.measurement import capture as measure
+
+    output.check_result(out, (".nc",), inputs=[scene, _code_file(code)])
+    if png is not None:
+        output.check_output(png, (".png",), inputs=[scene])
+    cube = read_cube(scene, wavelengths=wavelengths)
+    if imager == Camera.sscsi:
+        size = None if detector_shape is None else parse_size("--detector-shape", detector_shape)
+        model: Imager = _sscsi(cube, size, detector_pitch, code_pitch, mask_position, dispersion_ratio, shear)
+    else:
+        if mask_position is not None or detector_shape is not None or fine:
+            raise ValueError("--mask-position, --detector-shape and --fine belong to the imager sscsi")
+        model = _cassi(imager, cube, detector_pitch)
+    mask = _code(code, imager, model, shots, seed)
+    noise = None if snr is None else AWGN(snr_db=snr, seed=seed)
+    with output.progress("measuring"):
+        measurement = measure(model, mask, cube, noise=noise, fine=fine, scene=str(cube.name or scene.stem))
+    text = output.configuration(context, imager=json.loads(imager_to_json(model)))
+    write_measurement(measurement, out, configuration=text)
+    output.write_configuration(out, text)
+    if png is not None:
+        _picture(measurement, png)
+    _report_capture(measurement, out, as_json)
+
+
+def resolution(
+    mask_position: Annotated[float, typer.Option(help="s in [0, 1): 0 on the detector, 1 on the spectral plane.")],
+    wavelengths: Annotated[str, typer.Option(help="Shortest and longest wavelength, nm, such as 451:642.")],
+    detector_shape: Annotated[str, typer.Option(help="Detector elements y x x.")] = "256x256",
+    detector_pitch: DetectorPitch = 10.0,
+    code_pitch: CodePitch = None,
+    dispersion_ratio: DispersionRatio = 1.0,
+    png: Annotated[Path | None, typer.Option(help="Show the resolution over the mask position in this PNG.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say what an SSCSI with this geometry resolves.
+
+    Example: shadowgram resolution --mask-position 0.09375 --wavelengths 451:642
+    """
+    from shadowgram.spectral.sscsi import SSCSI
+
+    if png is not None:
+        output.check_output(png, (".png",))
+    imager = SSCSI(
+        detector_shape=parse_size("--detector-shape", detector_shape),
+        detector_pitch=detector_pitch,
+        code_pitch=detector_pitch if code_pitch is None else code_pitch,
+        mask_position=mask_position,
+        wavelengths=parse_wavelengths(wavelengths),
+        dispersion_ratio=dispersion_ratio,
+    )
+    if png is not None:
+        _resolution_over_position(imager, png)
+    found = imager.resolution
+    output.report({**dataclasses.asdict(found), "bands": found.bands}, _resolution_lines(imager, found), as_json)
+
+
+def _sscsi(
+    cube: xr.DataArray,
+    detector_shape: tuple[int, int] | None,
+    detector_pitch: float,
+    code_pitch: float | None,
+    mask_position: float | None,
+    dispersion_ratio: float,
+    shear: Shear,
+) -> SSCSI:
+    from shadowgram.spectral.sscsi import SSCSI
+
+    if code_pitch is None:
+        code_pitch = detector_pitch
+    elif code_pitch != detector_pitch and detector_shape is None:
+        raise ValueError("with a code finer than the detector, say --detector-shape and --mask-position")
+    if detector_shape is None:
+        detector_shape = (cube.sizes["y"], cube.sizes["x"])
+    if mask_position is None:
+        mask_position = cube.sizes["band"] * code_pitch / (dispersion_ratio * detector_shape[1] * detector_pitch)
+        if mask_position >= 1:
+            raise ValueError(
+                f"{cube.sizes['band']} bands cannot be resolved with {detector_shape[1]} detector columns: no mask position"
+                " disperses them far enough; crop fewer bands or say --mask-position"
+            )
+    return SSCSI(
+        detector_shape=detector_shape,
+        detector_pitch=detector_pitch,
+        code_pitch=code_pitch,
+        mask_position=mask_position,
+        wavelengths=band_range(cube.wavelength.values),
+        dispersion_ratio=dispersion_ratio,
+        shear=shear.value,
+    )
+
+
+def _cassi(camera: Camera, cube: xr.DataArray, pitch: float) -> Imager:
+    from shadowgram.spectral.cassi import CASSI, DualCASSI
+    from shadowgram.spectral.colored import ColoredCASSI
+
+    kind = {Camera.cassi: CASSI, Camera.dual: DualCASSI}.get(camera, ColoredCASSI)
+    bands, ny, nx = cube.shape
+    return kind(cube_shape=(bands, ny, nx), wavelengths=band_range(cube.wavelength.values), pitch=pitch)
+
+
+def _code_file(code: str) -> Path | None:
+    return None if code in (Kind.boolean, Kind.random) else Path(code)
+
+
+def _code(code: str, camera: Camera, imager: Imager, shots: int, seed: int) -> np.ndarray:
+    path = _code_file(code)
+    if path is not None:
+        if not path.suffix:
+            raise ValueError(f"--code takes boolean, random or a file (.nc, .npy, .png), got {code!r}")
+        return read_code(path)
+    *bands, ny, nx = imager.code_shape
+    if not bands:
+        return make_code(Kind(code), shots, (ny, nx), None, 0.5, seed)
+    if code == Kind.random:
+        raise ValueError("a colored code is boolean, or comes from a file")
+    return make_code(Kind.four if camera == Camera.colored4 else Kind.ideal, shots, (ny, nx), bands[0], 0.5, seed)
+
+
+def _picture(measurement: Measurement, png: Path) -> None:
+    from shadowgram.figures import images, style
+
+    with style.style():
+        output.write_bytes(png, style.png(images.shots(measurement.code, measurement.snapshots)))
+
+
+def _report_capture(m: Measurement, out: Path, as_json: bool) -> None:
+    bands, ny, nx = m.imager.resolution.cube_shape
+    ratio = m.snapshots.size / (bands * ny * nx)
+    values = {
+        "file": out,
+        "imager": type(m.imager).__name__,
+        "datacube": [bands, ny, nx],
+        "snapshots": list(m.snapshots.shape),
+        "compression": ratio,
+        "vignetted": list(m.imager.resolution.vignetted),
+    }
+    shots, rows, columns = m.snapshots.shape
+    lines = [
+        f"{type(m.imager).__name__}: {bands} bands × {ny} × {nx} → {shots} × {rows} × {columns} (shots × y × x)",
+        f"{100 * ratio:.1f} % as many numbers as the datacube; written to {out}",
+    ]
+    if lost := sum(share > 0.005 for share in m.imager.resolution.vignetted):
+        lines.append(
+            f"{lost} of {bands} bands lose light beside the mask, up to {100 * max(m.imager.resolution.vignetted):.0f} %"
+        )
+    output.report(values, lines, as_json)
+
+
+def _resolution_lines(imager: SSCSI, found: Resolution) -> list[str]:
+    bands, ny, nx = found.cube_shape
+    rows, columns = imager.code_shape
+    lines = [
+        f"regime         {found.regime}",
+        f"datacube       {bands} bands × {ny} × {nx} (y × x)",
+        f"band width     {found.band_width:.4g} nm",
+        f"pitch          {found.x_pitch:.4g} × {found.y_pitch:.4g} µm (x × y, on the detector)",
+        f"code           {rows} × {columns} elements (y × x) of {imager.code_pitch:g} µm",
+    ]
+    lost = [k for k, share in enumerate(found.vignetted) if share > 0.005]
+    if lost:
+        lines.append(
+            f"vignetted      {len(lost)} of {bands} bands lose light beside the mask, up to {100 * max(found.vignetted):.0f} %"
+        )
+    return lines
+
+
+def _resolution_over_position(imager: SSCSI, png: Path) -> None:
+    import numpy as np
+
+    from shadowgram.figures import lines, style
+
+    positions = np.linspace(0, 0.95, 96)
+    found = [dataclasses.replace(imager, mask_position=float(s)).resolution for s in positions]
+    bands, pitch = np.array([r.bands for r in found]), np.array([r.x_pitch for r in found])
+    with style.style():
+        figure = lines.resolution(positions, bands, pitch, chosen=[imager.mask_position])
+        output.write_bytes(png, style.png(figure))

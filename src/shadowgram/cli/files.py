@@ -1,0 +1,165 @@
+"""`shadowgram info`, `convert` and `compare`."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from . import output
+from .arguments import parse_crop
+from .cubes import quality_lines, read_cube, side_by_side
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+InputFile = Annotated[Path, typer.Argument(help="File to read.", show_default=False)]
+Variable = Annotated[str | None, typer.Option(help="Variable to read, where the file has several.")]
+Axes = Annotated[str | None, typer.Option(help="Order of the axes in the file, such as y,x,band.")]
+Wavelengths = Annotated[
+    str | None, typer.Option(help="First and last band, nm, such as 451:642; where the file does not say.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+
+
+def info(
+    file: InputFile,
+    variable: Variable = None,
+    axes: Axes = None,
+    wavelengths: Wavelengths = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say what a file holds: a datacube, a measurement or a code.
+
+    Example: shadowgram info cube.nc
+    """
+    values = _native_contents(file) if file.suffix == ".nc" else None
+    if values is None:
+        values = _cube_contents(read_cube(file, variable=variable, axes=axes, wavelengths=wavelengths))
+    lines = [f"{name.replace('_', ' '):<16}{_shown(value)}" for name, value in values.items()]
+    output.report(values, lines, as_json)
+
+
+def convert(
+    context: typer.Context,
+    source: Annotated[Path, typer.Argument(metavar="IN", help="Datacube to read.", show_default=False)],
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT", help="File to write; its ending says the format.", show_default=False)
+    ],
+    variable: Variable = None,
+    axes: Axes = None,
+    wavelengths: Wavelengths = None,
+    crop: Annotated[str | None, typer.Option(help="Part to keep, y0:y1,x0:x1 in pixels.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Convert a datacube from one format to another.
+
+    Example: shadowgram convert lego.mat lego.nc --wavelengths 451:642
+    """
+    from shadowgram.scenes import write
+
+    output.check_result(out, (".nc", ".mat", ".npz", ".npy"), inputs=[source])
+    cube = read_cube(source, variable=variable, axes=axes, wavelengths=wavelengths)
+    if crop is not None:
+        rows, columns = parse_crop(crop)
+        if rows.stop > cube.sizes["y"] or columns.stop > cube.sizes["x"]:
+            raise ValueError(
+                f"--crop {crop} reaches beyond the cube's {cube.sizes['y']} × {cube.sizes['x']} pixels (y × x)"
+            )
+        cube = cube[:, rows, columns]
+    text = output.configuration(context)
+    with output.progress("writing"):
+        write(cube.assign_attrs(configuration=text), out)
+    output.write_configuration(out, text)
+    values = {"file": out, **_cube_contents(cube)}
+    output.report(values, [f"{source} → {out}", _size_line(cube)], as_json)
+
+
+def compare(
+    estimate: Annotated[Path, typer.Argument(help="Reconstruction.", show_default=False)],
+    truth: Annotated[Path, typer.Argument(help="Datacube to compare it with.", show_default=False)],
+    peak: Annotated[
+        float | None,
+        typer.Option(
+            help="Largest possible value, for PSNR and SSIM; by default 1, or TRUTH's largest value if above 1."
+        ),
+    ] = None,
+    wavelengths: Wavelengths = None,
+    png: Annotated[Path | None, typer.Option(help="Write both in true colour, with a zoom, to this PNG.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare two datacubes: PSNR, mean spectral RMS error, SSIM and spectral angle.
+
+    Example: shadowgram compare cube.nc scene.nc --png both.png
+    """
+    from shadowgram.experiments.quality import assess
+
+    if png is not None:
+        output.check_output(png, (".png",), inputs=[estimate, truth])
+    a, b = (read_cube(path, wavelengths=wavelengths) for path in (estimate, truth))
+    if a.shape != b.shape:
+        raise ValueError(f"the cubes must have one shape (band, y, x); {estimate} has {a.shape}, {truth} has {b.shape}")
+    with output.progress("comparing"):
+        quality = assess(a.values, b.values, peak)
+    if png is not None:
+        output.write_bytes(png, side_by_side({truth.name: b, estimate.name: a}, f"PSNR {quality.psnr:.1f} dB"))
+    output.report(dataclasses.asdict(quality), quality_lines(quality), as_json)
+
+
+def _native_contents(file: Path) -> dict[str, object] | None:
+    """What a measurement or a code says of itself; None for anything else."""
+    from shadowgram.scenes.readers.native import read_dataset
+
+    dataset = read_dataset(file)
+    kind = dataset.attrs.get("kind")
+    if kind == "measurement":
+        from shadowgram.measurement import imager_to_json, read_measurement
+
+        m = read_measurement(file)
+        shape = m.imager.resolution.cube_shape
+        return {
+            "kind": kind,
+            "imager": json.loads(imager_to_json(m.imager)),
+            "code": list(m.code.shape),
+            "snapshots": list(m.snapshots.shape),
+            "range": [float(m.snapshots.min()), float(m.snapshots.max())],
+            "noise": None if m.noise is None else dataclasses.asdict(m.noise),
+            "scene": m.scene,
+            "datacube": list(shape),
+            "compression": m.snapshots.size / (shape[0] * shape[1] * shape[2]),
+        }
+    if kind == "code" and "code" in dataset.data_vars:
+        code = dataset["code"].values
+        return {"kind": kind, "shape": list(code.shape), "dtype": str(code.dtype), "open": float(code.mean())}
+    return None
+
+
+def _cube_contents(cube: xr.DataArray) -> dict[str, object]:
+    nm = cube.wavelength.values
+    return {
+        "kind": "datacube",
+        "name": cube.name,
+        "shape": list(cube.shape),
+        "wavelengths_nm": [float(nm[0]), float(nm[-1])],
+        "dtype": str(cube.dtype),
+        "range": [float(cube.min()), float(cube.max())],
+        "mean": float(cube.mean()),
+    }
+
+
+def _size_line(cube: xr.DataArray) -> str:
+    bands, ny, nx = cube.shape
+    return f"{bands} bands × {ny} × {nx} (y × x), {float(cube.wavelength[0]):g} to {float(cube.wavelength[-1]):g} nm"
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_shown(part)}" for name, part in value.items() if part is not None)
+    if isinstance(value, list):
+        return (" to " if any(isinstance(v, float) for v in value) else " × ").join(_shown(v) for v in value)
+    if isinstance(value, float):
+        return f"{value:.5g}"
+    return "none" if value is None else str(value)

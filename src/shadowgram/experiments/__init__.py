@@ -1,0 +1,1 @@
+"""Runs that put the pieces together: the demo, and later the studies."""
