@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 Imager = SSCSI | CASSI | DualCASSI | ColoredCASSI
 IMAGERS: tuple[type[Imager], ...] = (SSCSI, CASSI, DualCASSI, ColoredCASSI)
-# Refused in files, whose authors may want to fill the memory.
 Spec = TypeVar("Spec")
 
 

@@ -221,8 +221,8 @@ def lane_rows(n):
 
 @njit(cache=True, nogil=True)
 def row_pitch(n):
-    """Length of scratch rows for n samples: 8 to spare, in whole vectors, and 8 such rows never in the same cache sets."""
-    return (n + 15) // 8 * 8
+    """Length of scratch rows for n samples: 7 or more to spare, and an odd multiple of 8, which spreads rows over the cache."""
+    return (n + 15) // 16 * 16 + 8
 
 
 @njit(cache=True, nogil=True)
@@ -230,7 +230,7 @@ def analyse_planes(start, stop, planes, levels, taps, scale):
     """Finish the transform of planes whose first level along x is done, with rows in split order."""
     _, ny, nx = planes.shape
     ny, nx = ny // 2, nx // 2
-    saved = np.zeros((ny + 7, nx + 15), planes.dtype)
+    saved = np.zeros((ny + 7, row_pitch(nx)), planes.dtype)
     lanes = np.zeros((lane_rows(nx), min(128, (ny + 7) // 8 * 8)), planes.dtype)
     rows = np.zeros((8, row_pitch(nx)), planes.dtype)
     for b in range(start, stop):
@@ -258,9 +258,9 @@ def synthesise_planes(start, stop, source, planes, levels, taps, scale):
     """Inverse of `analyse_planes`, from `source` into `planes`, rows in natural order; `taps` are the reversed ones."""
     _, ny, nx = planes.shape
     plane = np.empty((ny, nx), planes.dtype)
-    saved = np.zeros((ny // 2 + 7, nx // 2 + 15), planes.dtype)
+    saved = np.zeros((ny // 2 + 7, row_pitch(nx // 2)), planes.dtype)
     lanes = np.zeros((lane_rows(nx // 2), min(128, (ny // 2 + 7) // 8 * 8)), planes.dtype)
-    rows = np.zeros((8, row_pitch(nx)), planes.dtype)
+    rows = np.zeros((8, row_pitch(nx // 2)), planes.dtype)
     for b in range(start, stop):
         for r in range(ny):
             copy(source[b, r], plane[r], nx)

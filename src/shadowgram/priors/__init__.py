@@ -1,0 +1,1 @@
+"""Proximal maps and denoisers, as callables."""

@@ -1,0 +1,1 @@
+"""Reconstruction algorithms, one a file."""
