@@ -209,7 +209,7 @@ class SSCSI:
 
         Parameters
         ----------
-        code : (shot, y, x) of `code_shape`, transmittance in [0, 1]. Binary codes (0 and 1) are several times faster.
+        code : (shot, y, x) of `code_shape`, transmittance in [0, 1]. Binary codes (0 and 1) are much faster than gray ones.
 
         Raises
         ------
