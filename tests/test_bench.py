@@ -32,8 +32,18 @@ def test_references_of_the_sscsi_compute_the_same(shear):
         agree(reference, H)
 
 
+def test_references_of_the_gray_sscsi_compute_the_same():
+    H = operators.gray_operator(TINY)
+    effective = H.imager.effective_code(H.code).astype(np.float32)
+    for reference in operators.sscsi_references(effective).values():
+        agree(reference, H)
+
+
 def test_references_of_the_cassis_compute_the_same():
     H, references = operators.cassi_problem(TINY)
+    for reference in references.values():
+        agree(reference, H)
+    H, references = operators.cassi_exact_problem(TINY)
     for reference in references.values():
         agree(reference, H)
     imager = sg.ColoredCASSI(cube_shape=(4, 6, 8), wavelengths=(450, 650))
@@ -126,7 +136,7 @@ def test_run_and_table():
     results = run.run(TINY, ("operators", "basis", "iteration", "reconstruction"), None, steps.append)
     assert steps == ["machine", "operators", "basis", "iteration", "reconstruction"]
     cases = [record["case"] for record in results.cases]
-    assert len(cases) == len(set(cases)) == 13
+    assert len(cases) == len(set(cases)) == 17
     assert set(peers.CASES) <= set(cases)
     text = "\n".join(table.lines(results))
     assert all(case in text for case in cases)

@@ -71,7 +71,11 @@ def test_capture_is_the_operator_and_the_noise(imager):
     assert np.array_equal(noisy, sg.noise.awgn(clean, snr_db=20.0, seed=1))
 
 
-@pytest.mark.parametrize("imager", [sscsi(), sscsi(code_pitch=5.0)], ids=["detector-limited", "super-resolving"])
+@pytest.mark.parametrize(
+    "imager",
+    [sscsi(), *(kind(**CUBE, shear="exact") for kind in (sg.CASSI, sg.DualCASSI, sg.ColoredCASSI))],
+    ids=lambda imager: type(imager).__name__,
+)
 def test_fine_bands_of_a_flat_spectrum_measure_like_coarse_ones(imager):
     # Where the spectrum is constant within each band, the exact model makes no error, whatever the scene.
     code, coarse = code_for(imager), cube_for(imager)
@@ -108,7 +112,9 @@ def spoiled(value):
         (np.zeros((5, 16, 32)), False, "the imager resolves 4 bands, the cube has 5"),
         (np.zeros((4, 16, 31)), False, "the imager sees 16 × 32 pixels"),
         (np.zeros((16, 32)), False, "datacube"),
-        (np.zeros((8, 16, 31)), True, "the imager sees 16 × 32 pixels"),
+        (np.zeros((8, 16, 31)), True, "n × n pixels a detector element of 16 × 32"),
+        (np.zeros((8, 24, 48)), True, "n × n pixels a detector element of 16 × 32"),
+        (np.full((8, 16, 32), np.nan), True, "4096 of 4096 values are NaN or infinite"),
         (np.zeros((4, 16, 32), complex), False, "real numbers"),
         (
             sg.scenes.as_datacube(np.zeros((4, 16, 32)), (900, 1100)),
@@ -122,10 +128,22 @@ def test_wrong_cube_is_refused(cube, fine, message):
         capture(sscsi(), code_for(sscsi()), cube, fine=fine)
 
 
-def test_only_sscsi_measures_finer_bands():
+@pytest.mark.parametrize(
+    ("bands", "pupil", "message"), [(7, 0.0, "a multiple of the imager's 4 bands, the cube has 7"), (8, 5.0, "pupil")]
+)
+def test_what_a_cassi_cannot_measure_finely(bands, pupil, message):
     imager = sg.CASSI(**CUBE)
-    with pytest.raises(ValueError, match="only the SSCSI"):
-        capture(imager, code_for(imager), np.zeros((8, 16, 20)), fine=True)
+    with pytest.raises(ValueError, match=message):
+        capture(imager, code_for(imager), np.zeros((bands, 16, 20)), fine=True, pupil=pupil)
+
+
+def test_a_finite_aperture_needs_a_finely_resolved_scene_and_blurs_its_code():
+    imager = sscsi()
+    fine = np.ones((8, 32, 64))
+    sharp, soft = (capture(imager, code_for(imager), fine, fine=True, pupil=p).snapshots for p in (0.0, 400.0))
+    assert np.abs(np.diff(soft, axis=1)).mean() < 0.7 * np.abs(np.diff(sharp, axis=1)).mean()
+    with pytest.raises(ValueError, match="measure with fine=True"):
+        capture(imager, code_for(imager), cube_for(imager), pupil=5.0)
 
 
 @pytest.mark.parametrize(

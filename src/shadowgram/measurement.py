@@ -18,15 +18,18 @@ import numpy as np
 from . import noise as _noise
 from .codes.patterns import check_code
 from .operators.base import LinearOperator
+from .spectral._geometry import interval_means
+from .spectral.calibration import CalibratedImager
 from .spectral.cassi import CASSI, DualCASSI
 from .spectral.colored import ColoredCASSI
+from .spectral.continuous import ContinuousSSCSI
 from .spectral.sscsi import SSCSI
 
 if TYPE_CHECKING:
     import xarray as xr
 
-Imager = SSCSI | CASSI | DualCASSI | ColoredCASSI
-IMAGERS: tuple[type[Imager], ...] = (SSCSI, CASSI, DualCASSI, ColoredCASSI)
+Imager = SSCSI | CASSI | DualCASSI | ColoredCASSI | CalibratedImager
+IMAGERS: tuple[type[Imager], ...] = (SSCSI, CASSI, DualCASSI, ColoredCASSI, CalibratedImager)
 Spec = TypeVar("Spec")
 
 
@@ -61,7 +64,7 @@ class Measurement:
 
     Parameters
     ----------
-    imager : `SSCSI`, `CASSI`, `DualCASSI` or `ColoredCASSI`.
+    imager : `SSCSI`, `CASSI`, `DualCASSI`, `ColoredCASSI` or `shadowgram.spectral.CalibratedImager`.
     code : (shot, \\*imager.code_shape) transmittance in [0, 1].
     snapshots : (shot, y, x) finite, as `imager.operator(code)` gives them.
     noise : what was added in a simulation; None for none, or for the noise of a real camera.
@@ -116,19 +119,23 @@ def capture(
     *,
     noise: AWGN | None = None,
     fine: bool = False,
+    pupil: float = 0.0,
     scene: str = "",
 ) -> Measurement:
     r"""Simulate the measurement of a datacube.
 
     Parameters
     ----------
-    imager : `SSCSI`, `CASSI`, `DualCASSI` or `ColoredCASSI`.
+    imager : `SSCSI`, `CASSI`, `DualCASSI`, `ColoredCASSI` or `shadowgram.spectral.CalibratedImager`.
     code : (shot, \\*imager.code_shape) transmittance in [0, 1].
     cube : (band, y, x), finite; light per band of the imager.
     noise : to be added, or None.
-    fine : the cube has more bands than the imager (`SSCSI` only), evenly spread over `imager.wavelengths`, and all of them
-        reach the detector each in its own place. The reconstruction then has a model error, as with a real scene; without it the
-        same model simulates and reconstructs, the "inverse crime".
+    fine : the cube is finer than what the imager resolves, and all of it reaches the detector, each band and pixel in its own
+        place. The reconstruction then has a model error, as with a real scene; without it the same model simulates and
+        reconstructs, the "inverse crime". For an `SSCSI` the cube has any number of bands, evenly spread over
+        `imager.wavelengths`, and n × n pixels a detector element (`shadowgram.spectral.ContinuousSSCSI`); for the CASSI family a
+        multiple of the imager's bands.
+    pupil : µm; with `fine`, diameter of the lens aperture's image on the spectral plane of an `SSCSI`, which blurs the mask.
     scene : name of what was measured.
 
     Raises
@@ -147,22 +154,49 @@ def capture(
     >>> capture(imager, code, cube).snapshots.shape
     (2, 32, 32)
     """
-    values = np.asarray(cube)
     if fine:
-        if not isinstance(imager, SSCSI):
-            raise ValueError(
-                f"only the SSCSI model can measure finer bands than it resolves, not {type(imager).__name__}"
-            )
-        true_imager = dataclasses.replace(imager, bands=len(values) if values.ndim else 0, shear="exact")
+        snapshots = _measured_finely(imager, code, cube, pupil)
+    elif pupil:
+        raise ValueError("a pupil blurs the mask between the bands of a finely resolved scene: measure with fine=True")
     else:
-        true_imager = imager
-    check_cube(cube, true_imager)
-    snapshots = true_imager.operator(code).forward(values)
-    # A cube holds light per band of the imager; a finer band holds its share of it.
-    snapshots *= true_imager.resolution.band_width / imager.resolution.band_width
+        check_cube(cube, imager)
+        snapshots = imager.operator(code).forward(np.asarray(cube))
     if noise is not None:
         snapshots = noise.add(snapshots)
     return Measurement(imager=imager, code=code, snapshots=snapshots, noise=noise, scene=scene)
+
+
+def _measured_finely(imager: Imager, code: np.ndarray, cube: xr.DataArray | np.ndarray, pupil: float) -> np.ndarray:
+    values = np.asarray(cube)
+    if values.ndim != 3:
+        raise ValueError(f"the imager takes a datacube (band, y, x), got an array of shape {values.shape}")
+    _check_finite(values, "the datacube")
+    _check_range(cube, imager)
+    bands, rows, columns = values.shape
+    if isinstance(imager, SSCSI):
+        ny, nx = imager.detector_shape
+        if rows % ny or columns != rows // ny * nx:
+            raise ValueError(
+                f"a finely resolved scene has n × n pixels a detector element of {ny} × {nx} (y × x), the cube has"
+                f" {rows} × {columns}: resample it or choose another detector shape"
+            )
+        camera = ContinuousSSCSI(imager=imager, bands=bands, oversampling=rows // ny, pupil=pupil)
+        return camera.operator(code).forward(values)
+    if isinstance(imager, CalibratedImager):
+        raise ValueError("a calibrated imager knows its own bands only: measure a cube of those bands, without fine")
+    if pupil:
+        raise ValueError(f"a pupil belongs to the SSCSI, whose mask is out of focus, not to {type(imager).__name__}")
+    factor = bands // imager.resolution.bands
+    if not factor or bands != factor * imager.resolution.bands:
+        raise ValueError(
+            f"a finely resolved scene has a multiple of the imager's {imager.resolution.bands} bands, the cube has {bands}"
+        )
+    camera = imager.finer(factor)
+    check_cube(values, camera)
+    code = check_code(code, imager.code_shape)
+    repeated = np.repeat(code, factor, axis=1) if isinstance(imager, ColoredCASSI) else code
+    # A cube holds light per band of the imager; a finer band holds its share of it.
+    return camera.operator(repeated).forward(values) / values.dtype.type(factor)
 
 
 def check_cube(cube: xr.DataArray | np.ndarray, imager: Imager) -> None:
@@ -183,6 +217,11 @@ def check_cube(cube: xr.DataArray | np.ndarray, imager: Imager) -> None:
             " crop the cube or choose another detector shape"
         )
     _check_finite(values, "the datacube")
+    _check_range(cube, imager)
+
+
+def _check_range(cube: xr.DataArray | np.ndarray, imager: Imager) -> None:
+    """Raise if a cube that says its wavelengths has others than the imager."""
     known = getattr(cube, "coords", {})
     if "wavelength" in known:
         got, expected = np.asarray(known["wavelength"], dtype=float), imager.resolution.wavelengths
@@ -203,7 +242,8 @@ def band_means(values: np.ndarray, imager: Imager) -> np.ndarray:
 
     Returns
     -------
-    (band, y, x) array of the dtype of `values`.
+    (band, y, x) array of the dtype of `values`. The last band may reach beyond the longest wavelength, where there is no light:
+    its mean is that of the whole band.
 
     Examples
     --------
@@ -213,11 +253,9 @@ def band_means(values: np.ndarray, imager: Imager) -> np.ndarray:
     >>> band_means(np.array([1.0, 3.0, 5.0, 7.0]).reshape(4, 1, 1), imager).ravel()
     array([2., 6.])
     """
-    fine = np.linspace(*imager.wavelengths, len(values) + 1)
-    edges = imager.resolution.band_edges
-    overlap = np.minimum(fine[1:], edges[1:, None]) - np.maximum(fine[:-1], edges[:-1, None])
-    overlap = np.clip(overlap, 0, None)
-    return np.tensordot(overlap / overlap.sum(axis=1, keepdims=True), values, axes=1).astype(values.dtype)
+    low, high = imager.wavelengths
+    places = (imager.resolution.band_edges - low) * (len(values) / (high - low))
+    return interval_means(np.asarray(values), 0, places, whole=True)
 
 
 def write_measurement(measurement: Measurement, path: str | os.PathLike[str], *, configuration: str = "") -> None:

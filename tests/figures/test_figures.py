@@ -110,13 +110,6 @@ def test_spectra_draws_truth_and_estimates_with_units():
     assert quality.get_ylabel() == "PSNR (dB)"
 
 
-def test_resolution_marks_the_chosen_position():
-    s = np.linspace(0, 0.9, 10)
-    figure = lines.resolution(s, 1 + 64 * s, np.full(10, 10.0), chosen=[0.125])
-    assert all(axes.texts[0].get_text() == "s = 0.125" for axes in figure.axes)
-    assert "µm" in figure.axes[1].get_ylabel()
-
-
 def test_overview_has_four_pictures_and_a_panel_for_each_point():
     line = np.linspace(0, 1, 5)
     figure = overview.overview(

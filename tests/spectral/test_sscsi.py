@@ -29,6 +29,7 @@ GEOMETRIES = [
     {"detector_shape": (3, 8), "mask_position": 0.1875},
     {"detector_shape": (5, 6), "mask_position": 0.0},
     {"detector_shape": (5, 6), "mask_position": 0.0, "bands": 3},
+    {"detector_shape": (3, 6), "mask_position": 0.1},
     {"detector_shape": (3, 5), "detector_pitch": 20.0, "mask_position": 0.3},
     {"detector_shape": (2, 6), "detector_pitch": 20.0, "mask_position": 0.5},
     {"detector_shape": (3, 5), "detector_pitch": 20.0, "mask_position": 0.7},
@@ -68,7 +69,8 @@ def sensing_matrix(imager, code):
     rows, columns = imager.detector_shape
     code_columns = columns * ratio
     bands, ny, nx = imager.resolution.cube_shape
-    step = 1.0 if imager.bands is None else s * imager.dispersion_ratio * code_columns / bands
+    spectrum = s * imager.dispersion_ratio * code_columns
+    step = min(1.0, spectrum) if imager.bands is None else spectrum / bands
     spread = step if imager.shear == "exact" else 0.0
     shift = {"edge": 0.0, "centre": step / 2, "exact": 0.0}[imager.shear]
     offset = s * code_columns * (1 - imager.dispersion_ratio) / 2

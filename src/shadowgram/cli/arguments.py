@@ -19,10 +19,15 @@ def parse_size(option: str, text: str) -> tuple[int, int]:
 
 def parse_wavelengths(text: str) -> tuple[float, float]:
     """Range such as "451:642" in nm, as (first, last)."""
+    return parse_range("--wavelengths", text)
+
+
+def parse_range(option: str, text: str) -> tuple[float, float]:
+    """Range such as "451:642" in nm, as (first, last)."""
     try:
         first, last = (float(part) for part in text.split(":"))
     except ValueError:
-        raise ValueError(f"--wavelengths takes first:last in nm, such as 451:642; got {text!r}") from None
+        raise ValueError(f"{option} takes first:last in nm, such as 451:642; got {text!r}") from None
     return first, last
 
 

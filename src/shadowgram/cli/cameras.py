@@ -1,8 +1,7 @@
-"""`shadowgram capture` and `resolution`."""
+"""`shadowgram capture`."""
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from enum import StrEnum
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from . import output
-from .arguments import band_range, parse_size, parse_wavelengths, read_code
+from .arguments import band_range, parse_size, read_code
 from .cubes import read_cube
 from .masks import Kind, make_code
 
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from shadowgram.measurement import Imager, Measurement
-    from shadowgram.spectral.resolution import Resolution
     from shadowgram.spectral.sscsi import SSCSI
 
 
@@ -69,10 +67,21 @@ def capture(
     code_pitch: CodePitch = None,
     dispersion_ratio: DispersionRatio = 1.0,
     shear: Annotated[Shear, typer.Option(help="SSCSI: how the model averages the code of a band.")] = Shear.exact,
+    bands: Annotated[
+        int | None, typer.Option(min=1, help="CASSIs with --fine: bands to resolve, of which the scene has a multiple.")
+    ] = None,
     fine: Annotated[
         bool,
-        typer.Option("--fine", help="SSCSI: the scene is finer than the imager's bands; measure each where it falls."),
+        typer.Option(
+            "--fine", help="The scene is finer than what the imager resolves; measure all of it where it falls."
+        ),
     ] = False,
+    pupil: Annotated[
+        float,
+        typer.Option(
+            min=0, help="SSCSI with --fine: image of the lens aperture on the spectral plane, µm; blurs the mask."
+        ),
+    ] = 0.0,
     png: Annotated[Path | None, typer.Option(help="Show codes and snapshots in this PNG.")] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -89,53 +98,25 @@ def capture(
     cube = read_cube(scene, wavelengths=wavelengths)
     if imager == Camera.sscsi:
         size = None if detector_shape is None else parse_size("--detector-shape", detector_shape)
+        if bands is not None:
+            raise ValueError("--bands belongs to the CASSIs; an SSCSI resolves what --mask-position says")
         model: Imager = _sscsi(cube, size, detector_pitch, code_pitch, mask_position, dispersion_ratio, shear)
     else:
-        if mask_position is not None or detector_shape is not None or fine:
-            raise ValueError("--mask-position, --detector-shape and --fine belong to the imager sscsi")
-        model = _cassi(imager, cube, detector_pitch)
+        if mask_position is not None or detector_shape is not None:
+            raise ValueError("--mask-position and --detector-shape belong to the imager sscsi")
+        model = _cassi(imager, cube, detector_pitch, bands)
     mask = _code(code, imager, model, shots, seed)
     noise = None if snr is None else AWGN(snr_db=snr, seed=seed)
     with output.progress("measuring"):
-        measurement = measure(model, mask, cube, noise=noise, fine=fine, scene=str(cube.name or scene.stem))
+        measurement = measure(
+            model, mask, cube, noise=noise, fine=fine, pupil=pupil, scene=str(cube.name or scene.stem)
+        )
     text = output.configuration(context, imager=json.loads(imager_to_json(model)))
     write_measurement(measurement, out, configuration=text)
     output.write_configuration(out, text)
     if png is not None:
         _picture(measurement, png)
     _report_capture(measurement, out, as_json)
-
-
-def resolution(
-    mask_position: Annotated[float, typer.Option(help="s in [0, 1): 0 on the detector, 1 on the spectral plane.")],
-    wavelengths: Annotated[str, typer.Option(help="Shortest and longest wavelength, nm, such as 451:642.")],
-    detector_shape: Annotated[str, typer.Option(help="Detector elements y x x.")] = "256x256",
-    detector_pitch: DetectorPitch = 10.0,
-    code_pitch: CodePitch = None,
-    dispersion_ratio: DispersionRatio = 1.0,
-    png: Annotated[Path | None, typer.Option(help="Show the resolution over the mask position in this PNG.")] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Say what an SSCSI with this geometry resolves.
-
-    Example: shadowgram resolution --mask-position 0.09375 --wavelengths 451:642
-    """
-    from shadowgram.spectral.sscsi import SSCSI
-
-    if png is not None:
-        output.check_output(png, (".png",))
-    imager = SSCSI(
-        detector_shape=parse_size("--detector-shape", detector_shape),
-        detector_pitch=detector_pitch,
-        code_pitch=detector_pitch if code_pitch is None else code_pitch,
-        mask_position=mask_position,
-        wavelengths=parse_wavelengths(wavelengths),
-        dispersion_ratio=dispersion_ratio,
-    )
-    if png is not None:
-        _resolution_over_position(imager, png)
-    found = imager.resolution
-    output.report({**dataclasses.asdict(found), "bands": found.bands}, _resolution_lines(imager, found), as_json)
 
 
 def _sscsi(
@@ -173,12 +154,13 @@ def _sscsi(
     )
 
 
-def _cassi(camera: Camera, cube: xr.DataArray, pitch: float) -> Imager:
+def _cassi(camera: Camera, cube: xr.DataArray, pitch: float, wanted: int | None) -> Imager:
     from shadowgram.spectral.cassi import CASSI, DualCASSI
     from shadowgram.spectral.colored import ColoredCASSI
 
     kind = {Camera.cassi: CASSI, Camera.dual: DualCASSI}.get(camera, ColoredCASSI)
     bands, ny, nx = cube.shape
+    bands = wanted or bands
     return kind(cube_shape=(bands, ny, nx), wavelengths=band_range(cube.wavelength.values), pitch=pitch)
 
 
@@ -223,39 +205,8 @@ def _report_capture(m: Measurement, out: Path, as_json: bool) -> None:
         f"{type(m.imager).__name__}: {bands} bands × {ny} × {nx} → {shots} × {rows} × {columns} (shots × y × x)",
         f"{100 * ratio:.1f} % as many numbers as the datacube; written to {out}",
     ]
-    if lost := sum(share > 0.005 for share in m.imager.resolution.vignetted):
+    if lost := m.imager.resolution.vignetted_bands:
         lines.append(
-            f"{lost} of {bands} bands lose light beside the mask, up to {100 * max(m.imager.resolution.vignetted):.0f} %"
+            f"{len(lost)} of {bands} bands lose light beside the mask, up to {100 * max(m.imager.resolution.vignetted):.0f} %"
         )
     output.report(values, lines, as_json)
-
-
-def _resolution_lines(imager: SSCSI, found: Resolution) -> list[str]:
-    bands, ny, nx = found.cube_shape
-    rows, columns = imager.code_shape
-    lines = [
-        f"regime         {found.regime}",
-        f"datacube       {bands} bands × {ny} × {nx} (y × x)",
-        f"band width     {found.band_width:.4g} nm",
-        f"pitch          {found.x_pitch:.4g} × {found.y_pitch:.4g} µm (x × y, on the detector)",
-        f"code           {rows} × {columns} elements (y × x) of {imager.code_pitch:g} µm",
-    ]
-    lost = [k for k, share in enumerate(found.vignetted) if share > 0.005]
-    if lost:
-        lines.append(
-            f"vignetted      {len(lost)} of {bands} bands lose light beside the mask, up to {100 * max(found.vignetted):.0f} %"
-        )
-    return lines
-
-
-def _resolution_over_position(imager: SSCSI, png: Path) -> None:
-    import numpy as np
-
-    from shadowgram.figures import lines, style
-
-    positions = np.linspace(0, 0.95, 96)
-    found = [dataclasses.replace(imager, mask_position=float(s)).resolution for s in positions]
-    bands, pitch = np.array([r.bands for r in found]), np.array([r.x_pitch for r in found])
-    with style.style():
-        figure = lines.resolution(positions, bands, pitch, chosen=[imager.mask_position])
-        output.write_bytes(png, style.png(figure))

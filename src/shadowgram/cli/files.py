@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from . import output
-from .arguments import parse_crop
+from .arguments import parse_crop, parse_range
 from .cubes import quality_lines, read_cube, side_by_side
 
 if TYPE_CHECKING:
@@ -53,6 +53,7 @@ def convert(
     axes: Axes = None,
     wavelengths: Wavelengths = None,
     crop: Annotated[str | None, typer.Option(help="Part to keep, y0:y1,x0:x1 in pixels.")] = None,
+    bands: Annotated[str | None, typer.Option(help="Bands to keep, shortest:longest in nm.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Convert a datacube from one format to another.
@@ -70,6 +71,14 @@ def convert(
                 f"--crop {crop} reaches beyond the cube's {cube.sizes['y']} × {cube.sizes['x']} pixels (y × x)"
             )
         cube = cube[:, rows, columns]
+    if bands is not None:
+        low, high = parse_range("--bands", bands)
+        kept = (cube.wavelength.values >= low) & (cube.wavelength.values <= high)
+        if not kept.any():
+            raise ValueError(
+                f"--bands {bands} keeps none of the bands at {cube.wavelength.values[0]:.4g} to {cube.wavelength.values[-1]:.4g} nm"
+            )
+        cube = cube[kept]
     text = output.configuration(context)
     with output.progress("writing"):
         write(cube.assign_attrs(configuration=text), out)

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from . import benchmark, cameras, demo, files, masks, recovery
+from . import benchmark, cameras, demo, files, masks, recovery, resolution, study
 from .output import Interrupted, complain, print_warning
 
 OK, INTERRUPTED = 0, 130
@@ -28,8 +28,9 @@ app.command("convert")(files.convert)
 app.command("compare")(files.compare)
 app.command("capture")(cameras.capture)
 app.command("reconstruct")(recovery.reconstruct)
-app.command("resolution")(cameras.resolution)
+app.command("resolution")(resolution.resolution)
 app.add_typer(masks.app, name="codes")
+app.add_typer(study.app, name="study")
 app.command("bench")(benchmark.bench)
 
 

@@ -2,9 +2,11 @@
 
 - `style`: colours, fonts, and how a figure becomes PNG bytes, on light or dark paper.
 - `images`: cubes in true colour with a zoom, codes, snapshots.
-- `lines`: spectra, quality over the bands, resolution over the mask position.
+- `lines`: spectra and quality over the bands.
+- `resolution`: what an SSCSI resolves over the position of its mask.
 - `overview`: scene → code → snapshot → reconstruction in one picture.
 - `report`: the HTML page of the demo.
+- `sheet`: panels of curves, pictures and maps in rows, for the studies.
 
 Every function takes arrays and returns a matplotlib `Figure` that belongs to no window and no global state.
 """

@@ -1,8 +1,8 @@
-"""Curves: spectra at pixels, quality over the bands, resolution over the mask position."""
+"""Curves: spectra at pixels and quality over the bands."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -57,39 +57,3 @@ def draw_spectra(
         axes.plot(wavelengths, values, marker=MARKERS[number], label=name)
     axes.set(xlabel="wavelength (nm)", ylabel=f"{unit} (relative)")
     axes.set_ylim(min(0.0, axes.get_ylim()[0]), None)
-
-
-def resolution(
-    mask_positions: np.ndarray, bands: np.ndarray, x_pitch: np.ndarray, *, chosen: Sequence[float] = ()
-) -> Figure:
-    """Bands and spatial resolution that an SSCSI reaches, over the position of its mask.
-
-    Parameters
-    ----------
-    mask_positions : (n,) s, from 0 = on the detector to 1 = on the spectral plane.
-    bands : (n,) number of bands.
-    x_pitch : (n,) µm, spatial resolution along the dispersion.
-    chosen : positions to mark.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from shadowgram.figures.lines import resolution
-    >>> s = np.linspace(0, 0.9, 10)
-    >>> len(resolution(s, 1 + 64 * s, np.full(10, 10.0), chosen=[0.125]).axes)
-    2
-    """
-    figure = new_figure(7.0, 3.0)
-    left, right = figure.subplots(1, 2)
-    left.step(mask_positions, bands, where="mid")
-    left.set(title="Spectral resolution", xlabel="mask position s", ylabel="bands")
-    right.plot(mask_positions, x_pitch, color="C1")
-    right.set(title="Spatial resolution along x", xlabel="mask position s", ylabel="pitch on the detector (µm)")
-    right.set_ylim(0, None)
-    for axes in (left, right):
-        for s in chosen:
-            axes.axvline(s, color=axes.xaxis.label.get_color(), linestyle=":", linewidth=1.0)
-            axes.annotate(
-                f"s = {s:g}", (s, 1), (3, -10), xycoords=("data", "axes fraction"), textcoords="offset points"
-            )
-    return figure

@@ -91,7 +91,7 @@ def column_table(pieces: Pieces, bands: int, step: float, shear: str) -> ColumnT
     reach = int(np.ceil((start - first + pieces.width + spread).max() - ROUNDING))
     edges = first + np.arange(reach + 1)[:, None, None] - start
     # Rounding can leave a share of -1e-17, which no transmittance has.
-    weights = np.maximum(np.diff(_share_below(edges, pieces.width, spread), axis=0), 0) * pieces.share
+    weights = np.maximum(np.diff(share_below(edges, pieces.width, spread), axis=0), 0) * pieces.share
     first = first.astype(np.int32)
     if unit:
         first = first + np.arange(bands, dtype=np.int32)[:, None]
@@ -99,7 +99,7 @@ def column_table(pieces: Pieces, bands: int, step: float, shear: str) -> ColumnT
     return ColumnTable(first, weights, unit)
 
 
-def _share_below(z: np.ndarray, width: np.ndarray, spread: float) -> np.ndarray:
+def share_below(z: np.ndarray, width: np.ndarray, spread: float) -> np.ndarray:
     """Share of box(width) ∗ box(spread), which begins at 0, that lies below z."""
 
     def ramp(z: np.ndarray) -> np.ndarray:
@@ -122,3 +122,18 @@ def light_missed(table: ColumnTable, columns: int) -> np.ndarray:
     hit = (table.first + j >= 0) & (table.first + j < columns)
     total = table.weights.sum(axis=(0, 2))
     return 1 - (table.weights * hit).sum(axis=(0, 2)) / total
+
+
+def interval_means(values: np.ndarray, axis: int, edges: np.ndarray, *, whole: bool = False) -> np.ndarray:
+    """Means over the intervals between `edges` along an axis whose cells are 0 to 1, 1 to 2, and so on.
+
+    Over the part of an interval that has cells, or over the `whole` of it, with zeros beyond the cells.
+    """
+    cells = np.arange(values.shape[axis])
+    overlap = np.minimum(edges[1:, None], cells + 1) - np.maximum(edges[:-1, None], cells)
+    overlap = np.clip(overlap, 0, None)
+    length = np.diff(edges)[:, None] if whole else overlap.sum(axis=1, keepdims=True)
+    weights = (overlap / length).astype(values.dtype)
+    if weights.shape[0] == weights.shape[1] and np.array_equal(weights, np.eye(len(cells))):
+        return values
+    return np.ascontiguousarray(np.moveaxis(np.tensordot(weights, values, axes=(1, axis)), 0, axis))

@@ -3,6 +3,8 @@
 import numpy as np
 from numba import njit
 
+GRAY_TILE = 64  # pieces whose blended bands stay in the first-level cache
+
 
 @njit(cache=True, nogil=True)
 def pack_masks(start, stop, packed, first, masks):
@@ -174,22 +176,6 @@ def packed_adjoint(start, stop, y, masks, weights, voxel, detector, out):
 
 
 @njit(cache=True, nogil=True)
-def _spread(x, k, n, voxel, row):
-    """row[p] = x[k, n, voxel[p]]."""
-    for p in range(voxel.size):
-        row[p] = x[k, n, voxel[p]]
-
-
-@njit(cache=True, nogil=True)
-def _collect(row, voxel, out, k, n):
-    """out[k, n, v] = sum of row over the pieces of voxel v."""
-    for v in range(out.shape[2]):
-        out[k, n, v] = 0
-    for p in range(voxel.size):
-        out[k, n, voxel[p]] += row[p]
-
-
-@njit(cache=True, nogil=True)
 def _weigh_code(code_row, first, weights, seen):
     """seen[p] = Σ_j weights[j, p] code_row[first[p] + j]."""
     for p in range(seen.size):
@@ -200,46 +186,104 @@ def _weigh_code(code_row, first, weights, seen):
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def gray_forward(start, stop, x, code, first, weights, voxel, detector, out):
-    """g[q, m] = Σ_p∈m Σ_k t̂_q[k, p] f[k, p] for any code and shear; `code` has closed columns beside it."""
-    bands, pieces = first.shape
-    shots, r = out.shape[0], code.shape[1] // out.shape[1]
-    row, seen = np.empty(pieces, x.dtype), np.empty(pieces, x.dtype)
-    sums = np.empty((shots, pieces), x.dtype)
-    for m in range(start, stop):
-        sums[:] = 0
-        for n in range(m * r, (m + 1) * r):
-            for k in range(bands):
-                _spread(x, k, n, voxel, row)
-                for q in range(shots):
-                    _weigh_code(code[q, n], first[k], weights[:, k], seen)
-                    for p in range(pieces):
-                        sums[q, p] += seen[p] * row[p]
-        for q in range(shots):
-            out[q, m] = 0
-            for p in range(pieces):
-                out[q, m, detector[p]] += sums[q, p]
+def _blend_columns(x, n, begin, ahead, weights, voxel, blended):
+    """blended[i, c] = light of all bands of row n that piece begin + i sees through its code column number c."""
+    blended[:] = 0
+    size, n = min(blended.shape[0], voxel.size - begin), np.uintp(n)
+    for k in range(ahead.shape[0]):
+        for i in range(size):
+            p = np.uintp(begin + i)
+            v, c = x[k, n, np.uintp(voxel[p])], np.uintp(ahead[k, p])
+            for j in range(weights.shape[0]):
+                blended[np.uintp(i), c + np.uintp(j)] += weights[j, k, p] * v
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def gray_adjoint(start, stop, y, code, first, weights, voxel, detector, out):
-    """f[k, p] = Σ_q t̂_q[k, p] g[q, detector[p]]."""
-    bands, pieces = first.shape
-    shots, r = y.shape[0], code.shape[1] // y.shape[1]
-    values = np.empty((shots, pieces), y.dtype)
-    seen, row = np.empty(pieces, y.dtype), np.empty(pieces, y.dtype)
+def _sum_columns(code, g, n, begin, first, count, blended, sums):
+    """sums[i, q] += Σ_c blended[i, c] code[g, n, first + c, q], eight shots at a time."""
+    g, n = np.uintp(g), np.uintp(n)
+    for i in range(min(sums.shape[0], first.size - begin)):
+        i, p = np.uintp(i), np.uintp(begin + i)
+        u = np.uintp(first[p])
+        for c in range(count[p]):
+            v = blended[i, np.uintp(c)]
+            for q in range(8):  # a constant number, so that it becomes one vector operation
+                sums[i, np.uintp(q)] += v * code[g, n, u + np.uintp(c), np.uintp(q)]
+
+
+@njit(cache=True, nogil=True)
+def gray_forward(start, stop, x, code, first, count, ahead, weights, voxel, detector, out):
+    """g[q, m] = Σ_p∈m Σ_k t̂_q[k, p] f[k, p] for any code and shear.
+
+    The bands are first blended into the code columns through which a piece sees them, once for all shots. The code comes as (group,
+    row, column, 8 shots) with closed columns beside it; piece p sees count[p] columns from first[p] on, and band k those from
+    first[p] + ahead[k, p] on.
+    """
+    shots, r = out.shape[0], code.shape[1] // out.shape[1]
+    blended = np.empty((GRAY_TILE, count.max()), x.dtype)
+    sums = np.empty((code.shape[0], GRAY_TILE, 8), x.dtype)
     for m in range(start, stop):
-        for q in range(shots):
-            for p in range(pieces):
-                values[q, p] = y[q, m, detector[p]]
-        for n in range(m * r, (m + 1) * r):
-            for k in range(bands):
-                row[:] = 0
-                for q in range(shots):
-                    _weigh_code(code[q, n], first[k], weights[:, k], seen)
-                    for p in range(pieces):
-                        row[p] += seen[p] * values[q, p]
-                _collect(row, voxel, out, k, n)
+        out[:, m] = 0
+        for begin in range(0, voxel.size, GRAY_TILE):
+            sums[:] = 0
+            for n in range(m * r, (m + 1) * r):
+                _blend_columns(x, n, begin, ahead, weights, voxel, blended)
+                for g in range(code.shape[0]):
+                    _sum_columns(code, g, n, begin, first, count, blended, sums[g])
+            for q in range(shots):
+                for i in range(min(GRAY_TILE, voxel.size - begin)):
+                    out[q, m, detector[begin + i]] += sums[q // 8, i, q % 8]
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _spread_shots(code, g, n, begin, first, count, values, blended):
+    """blended[i, c] += Σ_q code[g, n, first + c, q] values[i, q]."""
+    g, n = np.uintp(g), np.uintp(n)
+    for i in range(min(values.shape[0], first.size - begin)):
+        i, p = np.uintp(i), np.uintp(begin + i)
+        u = np.uintp(first[p])
+        for c in range(count[p]):
+            c = np.uintp(c)
+            near = blended.dtype.type(0)
+            far = blended.dtype.type(0)
+            # Two running sums: the order is fixed, and they go on side by side.
+            for q in range(4):
+                near += values[i, np.uintp(q)] * code[g, n, u + c, np.uintp(q)]
+                far += values[i, np.uintp(q + 4)] * code[g, n, u + c, np.uintp(q + 4)]
+            blended[i, c] += near + far
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _unblend_columns(blended, n, begin, ahead, weights, voxel, out):
+    """out[k, n, voxel[begin + i]] += Σ_j weights[j, k] blended[i, ahead[k] + j]."""
+    size, n = min(blended.shape[0], voxel.size - begin), np.uintp(n)
+    for k in range(ahead.shape[0]):
+        for i in range(size):
+            p = np.uintp(begin + i)
+            c = np.uintp(ahead[k, p])
+            total = out.dtype.type(0)
+            for j in range(weights.shape[0]):
+                total += weights[j, k, p] * blended[np.uintp(i), c + np.uintp(j)]
+            out[k, n, np.uintp(voxel[p])] += total
+
+
+@njit(cache=True, nogil=True)
+def gray_adjoint(start, stop, y, code, first, count, ahead, weights, voxel, detector, out):
+    """f[k, p] = Σ_q t̂_q[k, p] g[q, detector[p]]; the code and columns as in `gray_forward`."""
+    shots, r = y.shape[0], code.shape[1] // y.shape[1]
+    blended = np.empty((GRAY_TILE, count.max()), y.dtype)
+    values = np.zeros((code.shape[0], GRAY_TILE, 8), y.dtype)
+    for m in range(start, stop):
+        out[:, m * r : (m + 1) * r] = 0
+        for begin in range(0, voxel.size, GRAY_TILE):
+            for q in range(shots):
+                for i in range(min(GRAY_TILE, voxel.size - begin)):
+                    values[q // 8, i, q % 8] = y[q, m, detector[begin + i]]
+            for n in range(m * r, (m + 1) * r):
+                blended[:] = 0
+                for g in range(code.shape[0]):
+                    _spread_shots(code, g, n, begin, first, count, values[g], blended)
+                _unblend_columns(blended, n, begin, ahead, weights, voxel, out)
 
 
 @njit(cache=True, nogil=True)

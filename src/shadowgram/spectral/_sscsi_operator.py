@@ -17,6 +17,7 @@ from shadowgram.operators.base import LinearOperator, Shape
 from shadowgram.operators.structure import shot_gram
 
 from . import _sscsi_kernels as kernels
+from ._geometry import ColumnTable, Pieces
 from .resolution import DETECTOR_LIMITED
 
 if TYPE_CHECKING:
@@ -30,6 +31,70 @@ def _tiling(pieces: int) -> tuple[int, int]:
     """(tiles, pieces in a tile): as even as can be, in whole vectors of 8."""
     tiles = -(-pieces // TILE)
     return tiles, -(-pieces // (8 * tiles)) * 8
+
+
+@dataclass(frozen=True, eq=False)
+class PieceOperator(LinearOperator):
+    """Datacube → snapshots (shot, y, x) for any code, shear and pieces: each piece of a row sees its own columns of the code.
+
+    Attributes
+    ----------
+    code : (shot, y, x) transmittance, with a row for every row of the cube.
+    pieces : intervals of a row, each in a column of the cube and of the detector.
+    table : columns and weights of every piece in every band.
+    cube_shape : (band, y, x).
+    detector_shape : (y, x) elements.
+    """
+
+    code: np.ndarray
+    pieces: Pieces
+    table: ColumnTable
+    cube_shape: Shape
+    detector_shape: tuple[int, int]
+
+    @property
+    def in_shape(self) -> Shape:
+        """(band, y, x) of the datacube."""
+        return self.cube_shape
+
+    @property
+    def out_shape(self) -> Shape:
+        """(shot, y, x) of the snapshots."""
+        return (len(self.code), *self.detector_shape)
+
+    @cached_property
+    def _padded(self) -> tuple[np.ndarray, np.ndarray]:
+        """The code with closed columns beside it, and the first column of every (band, piece) in it."""
+        reach = self.table.weights.shape[0]
+        code = np.pad(self.code, ((0, 0), (0, 0), (reach, reach)))
+        return code, np.clip(self.table.first, -reach, self.code.shape[2]) + reach
+
+    @cached_property
+    def _by_shots(self) -> np.ndarray:
+        """The padded code as (group, y, x, 8 shots) float32: eight shots of one element side by side."""
+        code = self._padded[0]
+        groups = -(-len(code) // 8)
+        grouped = np.zeros((groups, *code.shape[1:], 8), np.float32)
+        for q, shot in enumerate(code):
+            grouped[q // 8, ..., q % 8] = shot
+        return grouped
+
+    def _forward(self, x: np.ndarray, out: np.ndarray) -> None:
+        run_chunks(kernels.gray_forward, self.detector_shape[0], 8, x, *self._geometry(x.dtype), out)
+
+    def _adjoint(self, y: np.ndarray, out: np.ndarray) -> None:
+        run_chunks(kernels.gray_adjoint, self.detector_shape[0], 8, y, *self._geometry(y.dtype), out)
+
+    def _geometry(self, dtype: np.dtype) -> tuple[np.ndarray, ...]:
+        weights = np.ascontiguousarray(self.table.weights, dtype)
+        return self._by_shots, *self._columns, weights, self.pieces.voxel, self.pieces.detector
+
+    @cached_property
+    def _columns(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """First column of every piece, how many it sees in all bands, and how far ahead (band, piece) each band begins."""
+        first = self._padded[1]
+        ahead = first - first[0]
+        return first[0], ahead[-1] + self.table.weights.shape[0], ahead
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,32 +139,26 @@ class SSCSIOperator(LinearOperator):
         return np.ascontiguousarray(padded.reshape(3, tiles, size).swapaxes(0, 1))
 
     @cached_property
-    def _padded(self) -> tuple[np.ndarray, np.ndarray]:
-        """The code with closed columns beside it, and the first column of every (band, piece) in it."""
-        table = self.imager._table
-        reach = table.weights.shape[0]
-        code = np.pad(self.code, ((0, 0), (0, 0), (reach, reach)))
-        return code, np.clip(table.first, -reach, self.code.shape[2]) + reach
+    def _gray(self) -> PieceOperator:
+        """The same operator by the kernels for any code and shear."""
+        imager = self.imager
+        return PieceOperator(self.code, imager._pieces, imager._table, self.in_shape, imager.detector_shape)
 
     def _forward(self, x: np.ndarray, out: np.ndarray) -> None:
-        pieces, rows = self.imager._pieces, self.out_shape[1]
-        if self._packed:
-            weights = self._band_weights.astype(x.dtype)
-            run_chunks(kernels.packed_forward, rows, 8, x, self._masks, weights, pieces.voxel, pieces.detector, out)
-        else:
-            code, first = self._padded
-            weights = self.imager._table.weights
-            run_chunks(kernels.gray_forward, rows, 8, x, code, first, weights, pieces.voxel, pieces.detector, out)
+        if not self._packed:
+            self._gray._forward(x, out)
+            return
+        pieces, weights = self.imager._pieces, self._band_weights.astype(x.dtype)
+        rows = self.out_shape[1]
+        run_chunks(kernels.packed_forward, rows, 8, x, self._masks, weights, pieces.voxel, pieces.detector, out)
 
     def _adjoint(self, y: np.ndarray, out: np.ndarray) -> None:
-        pieces, rows = self.imager._pieces, self.out_shape[1]
-        if self._packed:
-            weights = self._band_weights.astype(y.dtype)
-            run_chunks(kernels.packed_adjoint, rows, 8, y, self._masks, weights, pieces.voxel, pieces.detector, out)
-        else:
-            code, first = self._padded
-            weights = self.imager._table.weights
-            run_chunks(kernels.gray_adjoint, rows, 8, y, code, first, weights, pieces.voxel, pieces.detector, out)
+        if not self._packed:
+            self._gray._adjoint(y, out)
+            return
+        pieces, weights = self.imager._pieces, self._band_weights.astype(y.dtype)
+        rows = self.out_shape[1]
+        run_chunks(kernels.packed_adjoint, rows, 8, y, self._masks, weights, pieces.voxel, pieces.detector, out)
 
 
 @shot_gram.register
@@ -108,6 +167,6 @@ def _(A: SSCSIOperator) -> np.ndarray | None:
         return None  # a voxel can fall on two detector elements, which couples them
     shots, rows, columns = A.out_shape
     gram = np.empty((shots, shots, rows, columns))
-    code, first = A._padded
+    code, first = A._gray._padded
     run_chunks(kernels.gray_gram, rows, 8, code, first, A.imager._table.weights, gram)
     return gram

@@ -101,9 +101,9 @@ class SSCSI:
         check_choice("shear", self.shear, SHEARS)
         if self.bands is not None:
             check_count("bands", self.bands)
-        if max(self._spectral_columns, self.bands or 0) > MOST_BANDS:
+        if max(self.spectral_columns, self.bands or 0) > MOST_BANDS:
             raise ValueError(
-                f"this geometry has {max(self._spectral_columns, self.bands or 0):.4g} bands, more than {MOST_BANDS};"
+                f"this geometry has {max(self.spectral_columns, self.bands or 0):.4g} bands, more than {MOST_BANDS};"
                 " check mask_position, dispersion_ratio and bands"
             )
 
@@ -126,23 +126,29 @@ class SSCSI:
 
     @property
     def shift_per_band(self) -> float:
-        """Code columns by which the mask moves from one band to the next: 1 unless `bands` is given."""
-        return 1.0 if self.bands is None else self._spectral_columns / self.bands
+        """Code columns by which the mask moves from one band to the next: 1 unless `bands` is given or not even one is resolved."""
+        return min(1.0, self.spectral_columns) if self.bands is None else self.spectral_columns / self.bands
 
     @property
-    def _spectral_columns(self) -> float:
+    def spectral_columns(self) -> float:
         """Length of the wavelength range at the mask, in code columns: sβNc."""
         return self.mask_position * self.dispersion_ratio * self.code_shape[1]
+
+    @property
+    def mask_offset(self) -> float:
+        """Code column at which the detector's left end sees the shortest wavelength.
+
+        The spectral plane is centred on the mask: its blue end stands (1 − β)/2 mask widths from the mask's left end.
+        """
+        return self.mask_position * self.code_shape[1] * (1 - self.dispersion_ratio) / 2
 
     @cached_property
     def _pieces(self) -> _geometry.Pieces:
         elements = self.detector_shape[1]
         width = self.pitch_ratio * (1 - self.mask_position)
-        # The spectral plane is centred on the mask: its blue end stands (1-β)/2 mask widths from the mask's left end.
-        offset = self.mask_position * self.code_shape[1] * (1 - self.dispersion_ratio) / 2
         if width >= 1 - _geometry.ROUNDING:
-            return _geometry.super_resolving_pieces(elements, width, offset)
-        return _geometry.detector_limited_pieces(elements, width, offset)
+            return _geometry.super_resolving_pieces(elements, width, self.mask_offset)
+        return _geometry.detector_limited_pieces(elements, width, self.mask_offset)
 
     @cached_property
     def _table(self) -> _geometry.ColumnTable:
@@ -153,7 +159,7 @@ class SSCSI:
         """Resolution limits and the recoverable datacube, `shadowgram.spectral.resolution.Resolution`."""
         low, high = self.wavelengths
         super_resolving = self.pitch_ratio * (1 - self.mask_position) >= 1 - _geometry.ROUNDING
-        columns = self._spectral_columns
+        columns = self.spectral_columns
         if self.bands is not None:
             bands, width = self.bands, (high - low) / self.bands
         else:
@@ -166,11 +172,21 @@ class SSCSI:
             regime=SUPER_RESOLVING if super_resolving else DETECTOR_LIMITED,
             cube_shape=(bands, self.code_shape[0], self._pieces.columns),
             band_width=width,
+            spectral_extents=self._spectral_extents,
             x_pitch=self.code_pitch / (1 - self.mask_position) if super_resolving else self.detector_pitch,
             y_pitch=self.code_pitch,
             first_wavelength=float(low),
             vignetted=tuple(float(m) if m > 1e-9 else 0.0 for m in missed),
         )
+
+    @property
+    def _spectral_extents(self) -> tuple[float, float]:
+        """Wavelengths, nm, for which a code column is partly and wholly on a detector element (table 2.2, either regime)."""
+        per_nm = self.mask_position * self.dispersion
+        if per_nm == 0:
+            return math.inf, math.inf
+        element = self.detector_pitch * (1 - self.mask_position)
+        return min(self.code_pitch, element) / per_nm, abs(self.code_pitch - element) / per_nm
 
     def effective_code(self, code: np.ndarray) -> np.ndarray:
         """Transmittance that each voxel of the datacube sees, t̂, in the detector-limited regime.

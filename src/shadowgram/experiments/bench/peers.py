@@ -13,7 +13,7 @@ import numpy as np
 
 from shadowgram.operators.transforms import default_levels
 
-from .operators import cassi_problem
+from .operators import cassi_code, cassi_problem
 from .spec import BenchSpec, Row, random_array, sscsi_operator
 
 SCRIPT = Path(__file__).parents[4] / "benchmarks" / "peers.py"
@@ -92,7 +92,7 @@ def problem(spec: BenchSpec) -> dict[str, np.ndarray]:
     cassi_cube, sscsi_cube = random_array(cassi.in_shape), random_array(sscsi.in_shape)
     cassi_snapshot, sscsi_snapshots = cassi.forward(cassi_cube), sscsi.forward(sscsi_cube)
     return {
-        "cassi_code": cassi.code[0].astype(np.float32),
+        "cassi_code": cassi_code(spec)[0].astype(np.float32),
         "cassi_cube": cassi_cube,
         "cassi_snapshot": cassi_snapshot[0],
         "cassi_back": cassi.adjoint(cassi_snapshot),

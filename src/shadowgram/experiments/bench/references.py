@@ -66,6 +66,46 @@ class BandLoops:
         return self.cube
 
 
+class TapLoops:
+    """CASSI of higher order, one pixel a band: every coded band falls on three pixels, the middle one shifted by k.
+
+    Parameters
+    ----------
+    code : (y, x) float32.
+    shape : (band, y, x) of the cube.
+    taps : shares of the pixel before, at and after the shift; what falls beside the detector is lost.
+    """
+
+    def __init__(self, code: np.ndarray, shape: tuple[int, int, int], taps: tuple[float, float, float]) -> None:
+        self.code, self.taps = code, [code.dtype.type(tap) for tap in taps]
+        bands, ny, nx = shape
+        self.wide = np.empty((ny, nx + bands + 1), code.dtype)  # the detector with a column on either side
+        self.coded, self.plane = np.empty((2, ny, nx), code.dtype)
+        self.cube = np.empty(shape, code.dtype)
+
+    def forward(self, x: np.ndarray) -> np.ndarray:
+        """(band, y, x) → (1, y, x)."""
+        self.wide[:] = 0
+        for k, plane in enumerate(x):
+            np.multiply(self.code, plane, out=self.coded)
+            for j, tap in enumerate(self.taps):
+                np.multiply(self.coded, tap, out=self.plane)
+                self.wide[:, k + j : k + j + plane.shape[1]] += self.plane
+        return self.wide[None, :, 1:-1]
+
+    def adjoint(self, y: np.ndarray) -> np.ndarray:
+        """(1, y, x) → (band, y, x)."""
+        self.wide[:, [0, -1]] = 0
+        self.wide[:, 1:-1] = y[0]
+        for k, plane in enumerate(self.cube):
+            plane[:] = 0
+            for j, tap in enumerate(self.taps):
+                np.multiply(self.wide[:, k + j : k + j + plane.shape[1]], tap, out=self.plane)
+                plane += self.plane
+            plane *= self.code
+        return self.cube
+
+
 class WaveletDCT:
     """DCT along bands and Symlet-8 of every band by scipy.fft and PyWavelets, one worker.
 

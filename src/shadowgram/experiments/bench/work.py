@@ -7,7 +7,8 @@ compute the same that we know of, not of the textbook's.
 case               bytes                                                       operations
 =================  ==========================================================  ==============================================
 SSCSI              cube 4V, snapshots 4QN², one mask bit a shot (L+2)N²·⌈Q/8⌉  2QV masked adds, 2JV blending of J columns
-CASSI, colored     cube 4V, snapshots 4QN(N+L−1), code QN² or QV               2QV
+SSCSI, gray        cube 4V, snapshots 4QN², code 4QN²                          2QJV: J columns are weighed for every shot
+CASSI, colored     cube 4V, snapshots 4QN(N+L−1), code QN² or QV               2QV, of higher order (2Q + 2J)V for J pixels
 basis, one way     cube 8V (read and write)                                    wavelet 16·2·4/3 V, DCT (L+1)V
 GPSR iteration     operator and basis both ways, and 24V: coefficients,        those, and 20V for the two positive parts, their
                    direction and gradient, read and written once               step, the line search and the gradient
@@ -41,10 +42,16 @@ def sscsi(bands: int, size: int, shots: int, columns: int) -> Work:
     return Work(4 * voxels + 4 * shots * pixels + masks, 2 * shots * voxels + 2 * columns * voxels)
 
 
-def cassi(bands: int, size: int, shots: int) -> Work:
-    """Forward or adjoint of a CASSI."""
+def sscsi_gray(bands: int, size: int, shots: int, columns: int) -> Work:
+    """Forward or adjoint of an SSCSI with a gray code, whose voxels see `columns` code columns each."""
+    voxels = bands * size**2
+    return Work(4 * voxels + 8 * shots * size**2, 2 * shots * columns * voxels)
+
+
+def cassi(bands: int, size: int, shots: int, pixels: int = 0) -> Work:
+    """Forward or adjoint of a CASSI, whose voxels each fall on `pixels` in a model of higher order."""
     snapshots = shots * size * (size + bands - 1)
-    return Work(4 * bands * size**2 + 4 * snapshots + shots * size**2, 2 * shots * bands * size**2)
+    return Work(4 * bands * size**2 + 4 * snapshots + shots * size**2, 2 * (shots + pixels) * bands * size**2)
 
 
 def colored(bands: int, size: int, shots: int) -> Work:

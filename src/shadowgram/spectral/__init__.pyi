@@ -1,0 +1,14 @@
+from .bench import Bench as Bench
+from .bench import read_bench as read_bench
+from .calibration import CalibratedImager as CalibratedImager
+from .calibration import Calibration as Calibration
+from .calibration import calibrate as calibrate
+from .continuous import ContinuousSSCSI as ContinuousSSCSI
+from .registration import Geometry as Geometry
+from .registration import MeasuredResolution as MeasuredResolution
+from .registration import Misregistration as Misregistration
+from .registration import estimate_geometry as estimate_geometry
+from .registration import measured_resolution as measured_resolution
+from .registration import misregistration as misregistration
+from .resolution import Resolution as Resolution
+from .resolution import position_for as position_for
