@@ -31,6 +31,7 @@ MAY_IMPORT = {
     "__init__": {"*"},
     "__main__": {"cli"},
 }
+PACKAGES = ("shadowgram", "shadowgram.scenes", "shadowgram.codes", "shadowgram.operators", "shadowgram.spectral")
 # Loaded when used, never by `import shadowgram`.
 HEAVY = {
     "numba",
@@ -45,6 +46,9 @@ HEAVY = {
     "rich",
     "jinja2",
     "torch",
+    "distributed",
+    "dask",
+    "sqlite3",
 }
 
 
@@ -90,7 +94,7 @@ def test_imports_point_one_way(path):
             pytest.fail(f"{path}:{line}: use numpy.random.default_rng(seed)")
 
 
-@pytest.mark.parametrize("package", ["shadowgram", "shadowgram.scenes", "shadowgram.codes", "shadowgram.operators"])
+@pytest.mark.parametrize("package", PACKAGES)
 def test_public_names_are_complete_and_sorted(package):
     module = importlib.import_module(package)
     assert list(module.__all__) == sorted(module.__all__)
@@ -101,7 +105,7 @@ def test_public_names_are_complete_and_sorted(package):
 
 
 def test_public_things_say_what_they_do():
-    for package in ("shadowgram", "shadowgram.scenes", "shadowgram.codes", "shadowgram.operators"):
+    for package in PACKAGES:
         module = importlib.import_module(package)
         for name in module.__all__:
             assert getattr(module, name).__doc__, f"{package}.{name} has no docstring"

@@ -16,7 +16,10 @@ from shadowgram.cli import main
 from shadowgram.measurement import read_measurement
 from shadowgram.scenes.readers.native import read_dataset
 
-COMMANDS = ["demo", "info", "convert", "compare", "capture", "reconstruct", "resolution", "codes make", "bench"]
+COMMANDS = [
+    "demo", "info", "convert", "compare", "capture", "reconstruct", "resolution", "codes make", "bench",
+    "study list", "study run", "study show",
+]  # fmt: skip
 
 
 @pytest.fixture
@@ -158,6 +161,22 @@ def test_same_command_same_bytes(folder, capsys):
         run(capsys, f"capture scene.nc -o {out} --snr 30")
     a, b = (read_measurement(out).snapshots for out in ("a.nc", "b.nc"))
     assert np.array_equal(a, b)
+
+
+def test_bands_to_keep(folder, capsys):
+    run(capsys, "convert scene.nc some.nc --bands 500:600")
+    kept = sg.scenes.read("some.nc").wavelength.values
+    assert kept.tolist() == [525.0, 575.0]
+    assert "keeps none of the bands at 475 to 625 nm" in refuse(capsys, "convert scene.nc none.nc --bands 700:800")
+    assert "--bands takes first:last" in refuse(capsys, "convert scene.nc none.nc --bands 700")
+
+
+def test_fine_scene_of_a_cassi(folder, capsys):
+    sg.scenes.write(sg.scenes.chart(size=32, bands=16, seed=0), "fine.nc")
+    said = read_json(capsys, "capture fine.nc -o shots.nc --imager cassi --bands 4 --fine --json")
+    assert said["datacube"] == [4, 32, 32]
+    assert "multiple" in refuse(capsys, "capture fine.nc -o other.nc --imager cassi --bands 5 --fine")
+    assert "--bands belongs to the CASSIs" in refuse(capsys, "capture fine.nc -o other.nc --bands 4 --fine")
 
 
 def test_fine_scene(folder, capsys):

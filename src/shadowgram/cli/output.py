@@ -7,14 +7,16 @@ import math
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePath
-from typing import TextIO
+from typing import Protocol, TextIO
 
 import typer
 
 BAD_INPUT = 2
+LINE_EVERY = 30.0  # s between two lines of progress
 
 
 class Interrupted(Exception):  # noqa: N818 - not an error
@@ -137,28 +139,84 @@ def write_configuration(out: Path, text: str) -> None:
     write_bytes(out.with_suffix(".json"), (text + "\n").encode())
 
 
-@contextmanager
-def progress(what: str, total: int | None = None) -> Iterator[Callable[[int, str], None]]:
-    """Progress bar on stderr, on terminals only, and only after a second of work.
+class Update(Protocol):
+    """Called now and then during a long work: how far it is, what it does, and seconds left if the caller knows better."""
 
-    Gives a function (step, note) to be called now and then; without `total` a moving bar is shown.
+    def __call__(self, step: int, note: str, left: float | None = None) -> None: ...  # noqa: D102
+
+
+@contextmanager
+def progress(what: str, total: int | None = None) -> Iterator[Update]:
+    """Progress of a long work on stderr: on a terminal a bar, after a second; elsewhere a line every 30 seconds.
+
+    Gives a function (step, note, left) to be called now and then. Without `total` a moving bar is shown, and no time left.
     """
     if not sys.stderr.isatty():
-        yield lambda step, note: None  # noqa: ARG005 - the signature of update
+        yield from _progress_lines(what, total)
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), TimeElapsedColumn())
+    columns = [TextColumn("{task.description}"), BarColumn()]
+    columns += [] if total is None else [TextColumn("{task.completed:.0f}/{task.total:.0f}")]
+    columns += [TextColumn("{task.fields[note]}"), TimeElapsedColumn()]
+    columns += [] if total is None else [TextColumn("{task.fields[left]}")]
     bar = Progress(*columns, console=Console(stderr=True), transient=True)
-    task = bar.add_task(what, total=total, note="")
+    task = bar.add_task(what, total=total, note="", left="")
+    begun = time.monotonic()
     # A timer, since the first news of a long work may be late.
     timer = threading.Timer(1.0, bar.start)
     timer.daemon = True
     timer.start()
+
+    def update(step: int, note: str, left: float | None = None) -> None:
+        bar.update(task, completed=step, note=note, left=_time_left(step, total, begun, left))
+
     try:
-        yield lambda step, note: bar.update(task, completed=step, note=note)
+        yield update
     finally:
         timer.cancel()
         timer.join()
         bar.stop()
+
+
+def _progress_lines(what: str, total: int | None) -> Iterator[Update]:
+    """Plain lines where there is no terminal; none for a work that is short."""
+    begun = said = time.monotonic()
+    state = what
+
+    def update(step: int, note: str, left: float | None = None) -> None:
+        nonlocal said, state
+        of = "" if total is None else f" of {total}"
+        state = f"{what}: {step}{of}"
+        if time.monotonic() - said >= LINE_EVERY:
+            said = time.monotonic()
+            parts = [state, f"{duration(said - begun)} so far", _time_left(step, total, begun, left), note]
+            typer.echo(f"shadowgram: {', '.join(part for part in parts if part)}", err=True)
+
+    yield update
+    if said > begun:
+        typer.echo(f"shadowgram: {state}, {duration(time.monotonic() - begun)}", err=True)
+
+
+def _time_left(step: int, total: int | None, begun: float, left: float | None) -> str:
+    """Words for the time left: as the caller says, or as if the rest took as long as what is done."""
+    if left is None and total is not None and 0 < step < total:
+        left = (time.monotonic() - begun) * (total - step) / step
+    return "" if left is None else f"{duration(left)} left"
+
+
+def duration(seconds: float) -> str:
+    """Length of time for people.
+
+    Examples
+    --------
+    >>> from shadowgram.cli.output import duration
+    >>> [duration(seconds) for seconds in (0.84, 59.7, 61, 3600, 7300)]
+    ['0.8 s', '1 min', '1 min', '1 h', '2 h 2 min']
+    """
+    if seconds < 59.5:
+        return f"{seconds:.0f} s" if seconds >= 9.95 else f"{seconds:.1f} s"
+    hours, minutes = divmod(round(seconds / 60), 60)
+    parts = [f"{hours} h"] * (hours > 0) + [f"{minutes} min"] * (minutes > 0)
+    return " ".join(parts)
