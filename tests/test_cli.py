@@ -179,6 +179,22 @@ def test_fine_scene_of_a_cassi(folder, capsys):
     assert "--bands belongs to the CASSIs" in refuse(capsys, "capture fine.nc -o other.nc --bands 4 --fine")
 
 
+def test_cassi_options(folder, capsys):
+    Path("prism.txt").write_text("# nm, px\n440, 0\n550, 4.5\n660, 7\n")
+    run(capsys, "capture scene.nc -o shots.nc --imager cassi --shear exact --dispersion prism.txt")
+    imager = read_json(capsys, "info shots.nc --json")["imager"]
+    assert (imager["shear"], imager["dispersion"][1]) == ("exact", [550.0, 4.5])
+    assert "440: 0, 550: 4.5, 660: 7" in "".join(run(capsys, "info shots.nc"))
+    run(capsys, "capture scene.nc -o shots.nc --imager dual --band-shift 1.5")
+    assert read_json(capsys, "info shots.nc --json")["imager"]["band_shift"] == 1.5
+    Path("bad.txt").write_text("440 0\n550\n")
+    assert "line 2 of bad.txt" in refuse(capsys, "capture scene.nc -o o.nc --imager cassi --dispersion bad.txt")
+    assert "shear must be one of 'centre', 'exact'" in refuse(
+        capsys, "capture scene.nc -o o.nc --imager cassi --shear edge"
+    )
+    assert "belong to the CASSIs" in refuse(capsys, "capture scene.nc -o o.nc --band-shift 2")
+
+
 def test_fine_scene(folder, capsys):
     sg.scenes.write(sg.scenes.chart(size=32, bands=16, seed=0), "fine.nc")
     assert "the cube has 16" in refuse(capsys, "capture fine.nc -o shots.nc --mask-position 0.125")

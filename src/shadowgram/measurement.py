@@ -168,9 +168,7 @@ def capture(
 
 def _measured_finely(imager: Imager, code: np.ndarray, cube: xr.DataArray | np.ndarray, pupil: float) -> np.ndarray:
     values = np.asarray(cube)
-    if values.ndim != 3:
-        raise ValueError(f"the imager takes a datacube (band, y, x), got an array of shape {values.shape}")
-    _check_finite(values, "the datacube")
+    _check_values(values)
     _check_range(cube, imager)
     bands, rows, columns = values.shape
     if isinstance(imager, SSCSI):
@@ -195,17 +193,23 @@ def _measured_finely(imager: Imager, code: np.ndarray, cube: xr.DataArray | np.n
     check_cube(values, camera)
     code = check_code(code, imager.code_shape)
     repeated = np.repeat(code, factor, axis=1) if isinstance(imager, ColoredCASSI) else code
+    snapshots = camera.operator(repeated).forward(values)
     # A cube holds light per band of the imager; a finer band holds its share of it.
-    return camera.operator(repeated).forward(values) / values.dtype.type(factor)
+    return snapshots / snapshots.dtype.type(factor)
+
+
+def _check_values(values: np.ndarray) -> None:
+    if values.ndim != 3:
+        raise ValueError(f"the imager takes a datacube (band, y, x), got an array of shape {values.shape}")
+    if values.dtype.kind not in "fiub":
+        raise TypeError(f"the datacube must hold real numbers, got {values.dtype}")
+    _check_finite(values, "the datacube")
 
 
 def check_cube(cube: xr.DataArray | np.ndarray, imager: Imager) -> None:
     """Raise unless `cube` is what `imager` takes: (band, y, x) of its resolution, its wavelengths where known, finite."""
     values, want = np.asarray(cube), imager.resolution.cube_shape
-    if values.ndim != 3:
-        raise ValueError(f"the imager takes a datacube (band, y, x), got an array of shape {values.shape}")
-    if values.dtype.kind not in "fiub":
-        raise TypeError(f"the datacube must hold real numbers, got {values.dtype}")
+    _check_values(values)
     if values.shape[0] != want[0]:
         raise ValueError(
             f"the imager resolves {want[0]} bands, the cube has {values.shape[0]}:"
@@ -216,7 +220,6 @@ def check_cube(cube: xr.DataArray | np.ndarray, imager: Imager) -> None:
             f"the imager sees {want[1]} × {want[2]} pixels (y × x), the cube has {values.shape[1]} × {values.shape[2]}:"
             " crop the cube or choose another detector shape"
         )
-    _check_finite(values, "the datacube")
     _check_range(cube, imager)
 
 
@@ -242,8 +245,8 @@ def band_means(values: np.ndarray, imager: Imager) -> np.ndarray:
 
     Returns
     -------
-    (band, y, x) array of the dtype of `values`. The last band may reach beyond the longest wavelength, where there is no light:
-    its mean is that of the whole band.
+    (band, y, x) float array, float64 if `values` is, else float32. The last band may reach beyond the longest wavelength, where
+    there is no light: its mean is that of the whole band.
 
     Examples
     --------
@@ -271,6 +274,8 @@ def write_measurement(measurement: Measurement, path: str | os.PathLike[str], *,
     ------
     OSError
         If the file cannot be written.
+    ValueError
+        If `path` does not end in ``.nc``.
 
     Examples
     --------
@@ -289,6 +294,8 @@ def write_measurement(measurement: Measurement, path: str | os.PathLike[str], *,
     from . import __version__
     from .scenes.readers.native import write_dataset
 
+    if not os.fspath(path).endswith(".nc"):
+        raise ValueError(f"a measurement is written to a file that ends in .nc, got {os.fspath(path)}")
     m = measurement
     axes = ("shot", "code_band", "code_y", "code_x") if m.code.ndim == 4 else ("shot", "code_y", "code_x")
     dataset = xr.Dataset(

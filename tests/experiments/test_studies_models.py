@@ -18,10 +18,10 @@ from shadowgram.operators import as_matrix
 # Axes of the figure (a map has a scale beside it), and what the claims find.
 PANELS = {"fig-2-4": 17, "tables-2-1": 6, "fig-2-13": 19, "fig-2-14": 11}
 AGREES = {
-    "fig-2-4": [True, True, False, True],
+    "fig-2-4": [True, True, None, None],
     "tables-2-1": [True, False, True, False, True, True, True, True],
-    "fig-2-13": [True, True, False],
-    "fig-2-14": [True, False, True, True, True, True],
+    "fig-2-13": [True, True, None],
+    "fig-2-14": [True, False, True, True, True],
 }
 
 
@@ -82,10 +82,12 @@ def test_claims_state_page_numbers_and_what_was_found(done):
     assert [claim.agrees for claim in claims] == AGREES[study.name]
     for claim in claims:
         assert isinstance(claim, Claim)
-        assert type(claim.page) is int
+        assert any(character.isdigit() for character in claim.found)
+        if claim.page is None:  # a question of ours
+            assert claim.agrees is None
+            continue
         assert 8 <= claim.page <= 29
         assert type(claim.agrees) is bool
-        assert any(character.isdigit() for character in claim.found)
         assert claim.agrees or claim.why
 
 

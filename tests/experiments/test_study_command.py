@@ -137,10 +137,25 @@ def test_scenes_of_the_same_name_are_told_apart(studies, tmp_path, capsys):
         sg.scenes.write(sg.scenes.chart(size=16, bands=3, seed=seed), tmp_path / f"{seed}" / "lego.nc")
         run(capsys, f"study run first --quick --scene {seed}/lego.nc")
     line = refused(capsys, "study show first --quick --scene lego")
-    digests = line.split("by its digest, ")[1].strip().split(" or ")
-    assert len(set(digests)) == 2
-    for digest in digests:
-        run(capsys, f"study show first --quick --scene {digest}")
+    names = line.split("scenes it has: ")[1].strip().split(", ")
+    assert len(set(names)) == 2
+    for name in names:
+        run(capsys, f"study show first --quick --scene {name}")
+        assert (tmp_path / "shadowgram-studies" / f"first-{name}-quick.png").exists()
+    listed = run(capsys, "study list").out
+    assert all(f"{name}, quick: 1 records" in listed for name in names)
+
+
+def test_claims_that_cannot_be_made_do_not_hide_the_others(studies, capsys):
+    def broken(records):
+        raise KeyError("psnr")
+
+    for name in ("first", "second"):
+        run(capsys, f"study run {name}")
+    studies["first"] = dataclasses.replace(studies["first"], claims=broken)
+    listed = run(capsys, "study list").out
+    assert "KeyError" in listed
+    assert "agrees 1 of 3, 1 open" in listed
 
 
 def test_list(studies, little, tmp_path, capsys):

@@ -184,8 +184,37 @@ def test_saturation_counts_pixels():
     white[0, 1].flat[:11] = 4095
     with pytest.raises(ValueError, match=r"shot 0, band 1 .* saturated in 0\.11 %"):
         calibrate(white, wavelengths=(500, 600), pitch=5.0, saturation=4095)
-    calibrate(white, wavelengths=(500, 600), pitch=5.0)  # full scale is 65535
+    with pytest.raises(
+        ValueError, match=r"0\.11 % of the pixels of the white capture have the same largest value, 4095"
+    ):
+        calibrate(white, wavelengths=(500, 600), pitch=5.0)  # full scale is 65535
+    white[0, 1].flat[:11] = 3999  # as many as noise may leave there
+    calibrate(white, wavelengths=(500, 600), pitch=5.0)
+    white[0, 1].flat[:11] = 4095
     calibrate(white, wavelengths=(500, 600), pitch=5.0, saturation=np.inf)
+
+
+def test_bands_of_a_coarse_camera_are_no_plateau():
+    white = np.random.default_rng(0).integers(5, 60, (1, 2, 100, 100)).astype(np.uint8)
+    calibrate(white, wavelengths=(500, 600), pitch=5.0)
+
+
+def test_a_band_that_was_stored_twice_is_found():
+    white = np.random.default_rng(0).integers(100, 4000, (2, 3, 20, 20)).astype(np.uint16)
+    white[:, 2] = white[:, 1]
+    with pytest.raises(ValueError, match="at 600 and 700 nm are the same in every pixel"):
+        calibrate(white, wavelengths=(500, 600, 700), pitch=5.0, saturation=4095)
+
+
+@pytest.mark.parametrize(("saturation", "message"), [(np.nan, "above 0"), (-5.0, "above 0")])
+def test_impossible_saturation(saturation, message):
+    with pytest.raises(ValueError, match=message):
+        calibrate(np.ones((1, 2, 8, 8)), wavelengths=(500, 600), pitch=5.0, saturation=saturation)
+
+
+def test_wavelengths_in_micrometres_are_asked_about():
+    with pytest.raises(ValueError, match=r"0\.5 to 0\.6: are these µm"):
+        calibrate(np.ones((1, 2, 8, 8)), wavelengths=(0.5, 0.6), pitch=5.0)
 
 
 @pytest.mark.parametrize(

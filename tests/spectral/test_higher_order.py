@@ -310,6 +310,12 @@ def test_curve_goes_through_its_points_and_is_straight_beyond():
     assert (np.diff(imager.displacements) > 0).all()
 
 
+def test_a_curve_that_flattens_quickly_goes_on_beyond_its_end():
+    points = ((400.0, 0.0), (450.0, 20.0), (700.0, 45.0))  # the parabola through them has its top before 700 nm
+    imager = make(sg.CASSI, (16, 1, 2), wavelengths=(400.0, 800.0), dispersion=points)
+    assert np.diff(imager.displacements).min() > 0.5  # a third of the last 0.1 px/nm, over 25 nm
+
+
 def test_a_curve_of_arrays_and_lists_becomes_pairs():
     for curve in (np.array(PRISM), [list(pair) for pair in PRISM]):
         assert make(sg.CASSI, dispersion=curve) == make(sg.CASSI, dispersion=PRISM)

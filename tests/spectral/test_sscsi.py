@@ -269,6 +269,8 @@ def test_finely_resolved_bands_measure_what_the_exact_shear_averages():
         ({"dispersion_ratio": 0.0}, "dispersion_ratio"),
         ({"shear": "center"}, "shear must be one of 'exact', 'centre', 'edge', got 'center'"),
         ({"bands": 0}, "bands must be a whole number"),
+        ({"wavelengths": (0.45, 0.65)}, "are these µm"),
+        ({"detector_shape": (8, 100_000), "mask_position": 0.05}, "code columns times 5000 bands are more than"),
         ({"bands": 10**9}, "more than 10000"),
         ({"dispersion_ratio": 1e9}, "more than 10000"),
     ],

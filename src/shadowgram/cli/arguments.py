@@ -52,6 +52,31 @@ def band_range(centres: np.ndarray) -> tuple[float, float]:
     return float(1.5 * centres[0] - 0.5 * centres[1]), float(1.5 * centres[-1] - 0.5 * centres[-2])
 
 
+def read_curve(path: Path) -> tuple[tuple[float, float], ...]:
+    """Dispersion curve from a text file, a line a point: wavelength in nm, comma or space, displacement in px; # begins a comment.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    ValueError
+        If a line is not two numbers.
+    """
+    points = []
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+        words = line.split("#")[0].replace(",", " ").split()
+        if not words:
+            continue
+        try:
+            nm, px = map(float, words)
+        except ValueError:
+            raise ValueError(
+                f"line {number} of {path} must be a wavelength in nm and a displacement in px, got {line!r}"
+            ) from None
+        points.append((nm, px))
+    return tuple(points)
+
+
 def read_code(path: Path) -> np.ndarray:
     """Code (shot, y, x) or (shot, band, y, x) from a file that `codes make` writes, a .npy array, or a PNG of one shot.
 

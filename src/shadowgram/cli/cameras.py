@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from . import output
-from .arguments import band_range, parse_size, read_code
+from .arguments import band_range, parse_size, read_code, read_curve
 from .cubes import read_cube
 from .masks import Kind, make_code
 
@@ -66,7 +66,19 @@ def capture(
     detector_pitch: DetectorPitch = 10.0,
     code_pitch: CodePitch = None,
     dispersion_ratio: DispersionRatio = 1.0,
-    shear: Annotated[Shear, typer.Option(help="SSCSI: how the model averages the code of a band.")] = Shear.exact,
+    shear: Annotated[
+        Shear | None,
+        typer.Option(
+            help="How the model spreads a band: SSCSI exact, centre or edge; CASSIs centre or exact (higher order).",
+            show_default="exact; CASSIs centre",
+        ),
+    ] = None,
+    band_shift: Annotated[
+        float | None, typer.Option(help="CASSIs: pixels of dispersion a band, any positive number.", show_default="1")
+    ] = None,
+    dispersion: Annotated[
+        Path | None, typer.Option(help="CASSIs: measured curve instead, a text file of lines 'nm, px'.")
+    ] = None,
     bands: Annotated[
         int | None, typer.Option(min=1, help="CASSIs with --fine: bands to resolve, of which the scene has a multiple.")
     ] = None,
@@ -100,11 +112,17 @@ def capture(
         size = None if detector_shape is None else parse_size("--detector-shape", detector_shape)
         if bands is not None:
             raise ValueError("--bands belongs to the CASSIs; an SSCSI resolves what --mask-position says")
-        model: Imager = _sscsi(cube, size, detector_pitch, code_pitch, mask_position, dispersion_ratio, shear)
+        if band_shift is not None or dispersion is not None:
+            raise ValueError(
+                "--band-shift and --dispersion belong to the CASSIs; an SSCSI disperses by --mask-position"
+            )
+        model: Imager = _sscsi(
+            cube, size, detector_pitch, code_pitch, mask_position, dispersion_ratio, shear or Shear.exact
+        )
     else:
         if mask_position is not None or detector_shape is not None:
             raise ValueError("--mask-position and --detector-shape belong to the imager sscsi")
-        model = _cassi(imager, cube, detector_pitch, bands)
+        model = _cassi(imager, cube, detector_pitch, bands, shear or Shear.centre, band_shift, dispersion)
     mask = _code(code, imager, model, shots, seed)
     noise = None if snr is None else AWGN(snr_db=snr, seed=seed)
     with output.progress("measuring"):
@@ -154,14 +172,29 @@ def _sscsi(
     )
 
 
-def _cassi(camera: Camera, cube: xr.DataArray, pitch: float, wanted: int | None) -> Imager:
+def _cassi(
+    camera: Camera,
+    cube: xr.DataArray,
+    pitch: float,
+    wanted: int | None,
+    shear: Shear,
+    band_shift: float | None,
+    dispersion: Path | None,
+) -> Imager:
     from shadowgram.spectral.cassi import CASSI, DualCASSI
     from shadowgram.spectral.colored import ColoredCASSI
 
     kind = {Camera.cassi: CASSI, Camera.dual: DualCASSI}.get(camera, ColoredCASSI)
     bands, ny, nx = cube.shape
     bands = wanted or bands
-    return kind(cube_shape=(bands, ny, nx), wavelengths=band_range(cube.wavelength.values), pitch=pitch)
+    return kind(
+        cube_shape=(bands, ny, nx),
+        wavelengths=band_range(cube.wavelength.values),
+        pitch=pitch,
+        shear=shear.value,
+        band_shift=band_shift,
+        dispersion=None if dispersion is None else read_curve(dispersion),
+    )
 
 
 def _code_file(code: str) -> Path | None:

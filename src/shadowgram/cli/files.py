@@ -167,6 +167,10 @@ def _size_line(cube: xr.DataArray) -> str:
 def _shown(value: object) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{name} {_shown(part)}" for name, part in value.items() if part is not None)
+    if isinstance(value, list) and value and isinstance(value[0], list):  # pairs, as of a dispersion curve
+        return ", ".join(": ".join(_shown(part) for part in pair) for pair in value)
+    if isinstance(value, list) and len(value) > 3:
+        return f"{len(value)} values, {_shown(value[0])} to {_shown(value[-1])}"
     if isinstance(value, list):
         return (" to " if any(isinstance(v, float) for v in value) else " × ").join(_shown(v) for v in value)
     if isinstance(value, float):

@@ -25,7 +25,7 @@ def resolution(
     mask_position: Annotated[
         float | None,
         typer.Option(
-            help="s in [0, 1): 0 on the detector, 1 on the spectral plane; by default as far as the bench reaches."
+            help="s in [0, 1): 0 on the detector, 1 on the spectral plane; with --bench by default as far as it reaches."
         ),
     ] = None,
     band_width: Annotated[
@@ -64,6 +64,10 @@ def resolution(
     dispersion in µm/nm, dispersion_ratio, nonlinearity in nm, plane_distance and exit_pupil in mm, reachable s,
     pupil_band_width in nm, diffraction_spot and blur in µm on the mask) and reach (the table over its mask positions).
     What is infinite is null.
+
+    A bench's keys: grating_lines (1/mm), relay_focal_lengths (two, mm), wavelengths (two, nm), detector_shape (y, x),
+    detector_pitch and code_pitch (µm), mask_distances (nearest, farthest, mm), pupil_distance (mm) or measured_ratio (β);
+    optional f_number, magnification, order. `shadowgram.spectral.bench` has the physics.
     """
     if png is not None:
         output.check_output(png, (".png",), inputs=[None if bench is None else Path(bench)])
@@ -191,13 +195,28 @@ def _lines(imager: SSCSI, bench: Bench | None) -> list[str]:
     rows, columns = imager.code_shape
     s = imager.mask_position
     where = "" if bench is None else f", {bench.distance(s):.4g} mm from the image plane"
+    beyond = imager.resolution.band_edges[-1] > imager.wavelengths[1] * (1 + 1e-9)
     lines = [
         f"mask           s = {s:.4g}{where}",
+        *_blurred(imager, bench),
         *str(imager.resolution).splitlines(),
         f"code           {rows} × {columns} elements (y × x) of {imager.code_pitch:g} µm"
         + ("" if bench is None else f" on the detector, {bench.code_pitch:g} µm on the mask"),
+        *([f"range          the last band reaches beyond {imager.wavelengths[1]:g} nm"] if beyond else []),
     ]
     return lines if bench is None else [*lines, "", *_bench_lines(bench, imager), "", *_table(bench)]
+
+
+def _blurred(imager: SSCSI, bench: Bench | None) -> list[str]:
+    """A warning, where the aperture keeps fewer bands apart than the mask."""
+    if bench is None or bench.pupil_band_width <= imager.resolution.band_width:
+        return []
+    low, high = bench.wavelengths
+    apart = max(1, int((high - low) / bench.pupil_band_width))
+    bands = imager.resolution.bands
+    return [
+        f"warning        the mask would resolve {bands} bands, but f/{bench.f_number:g} keeps only about {apart} apart"
+    ]
 
 
 def _bench_lines(bench: Bench, imager: SSCSI) -> list[str]:

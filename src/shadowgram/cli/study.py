@@ -201,6 +201,7 @@ def _run(study: Study, scene: SceneSource, quick: bool, journal: Journal, execut
     elif not summary.interrupted:
         try:
             records = holdings.gather(study, scene, quick, journal)
+            scene = holdings.find_scene(study, scene.digest, journal)
             done.figure, done.claims = _draw(study, scene, quick, records, journal.path.parent)
         except Exception as error:  # noqa: BLE001 - the next study of a long night must not suffer
             done.problem = f"no figure: {one_line(error)}"
@@ -262,6 +263,8 @@ def _state(holding: Holding) -> str:
 
     if holding.complete:
         return f"{holding.label}: {holding.records} records, {agreement(holding.claims)}"
+    if holding.problem:
+        return f"{holding.label}: {holding.records} records, {holding.problem}"
     return f"{holding.label}: {holding.records} of {holding.total} records"
 
 
@@ -291,11 +294,12 @@ def _found_lines(study: Study, scene: SceneSource, figure: Path, claims: Sequenc
 
 
 def _claim_lines(claims: Sequence[Claim]) -> list[str]:
-    from shadowgram.experiments.holdings import verdict
+    from shadowgram.experiments.holdings import place, verdict
 
     lines = []
     for claim in claims:
-        lines += [f"page {claim.page}: {claim.says}", f"  found: {claim.found}", f"  agrees: {verdict(claim)}"]
+        lines += [f"{place(claim.page)}: {claim.says}".replace("Page", "page"), f"  found: {claim.found}"]
+        lines += [f"  agrees: {verdict(claim)}"] if claim.page is not None else []
         lines += [f"  why: {claim.why}"] if claim.why else []
     return lines
 

@@ -36,6 +36,7 @@ CONNECT = 10.0  # s to find a scheduler
 ALONE = 60.0  # s without any worker until we give up
 SCRATCH = "shadowgram-workers-"
 YOUNG = 60.0  # s
+MOST_WORKERS = 4  # for each processor; more only wait for one another, and for memory
 STARTS = 3  # attempts to start workers, which may be killed while they start
 
 SETTINGS: dict[str, Any] = {
@@ -110,12 +111,15 @@ class LocalWorkers(_Dask):
     Raises
     ------
     ValueError
-        If `count` is not positive, or the package distributed is not installed.
+        If `count` is not positive or far more than this machine's processors, or the package distributed is not installed.
     """
 
     def __init__(self, count: int) -> None:
-        if count < 1:
-            raise ValueError(f"--workers takes a whole number of at least 1, got {count}")
+        most = MOST_WORKERS * (os.cpu_count() or 1)
+        if not 1 <= count <= most:
+            raise ValueError(
+                f"--workers takes a whole number from 1 to {most}, {MOST_WORKERS} for each processor of this machine, got {count}"
+            )
         _check_installed()
         super().__init__()
         self._count = count

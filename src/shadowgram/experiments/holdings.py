@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from .journal import Journal
 from .source import SceneSource, generated
 from .study import Claim, Record, Study
-from .tasks import make_tasks
+from .tasks import make_tasks, one_line
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -20,6 +20,7 @@ class Holding:
     scene, quick : which of its records.
     records, total : how many there are, and how many it needs.
     claims : what they show; empty as long as records are missing.
+    problem : why there are no claims although no record is missing; empty if there are.
     """
 
     scene: SceneSource
@@ -27,11 +28,12 @@ class Holding:
     records: int
     total: int
     claims: tuple[Claim, ...]
+    problem: str = ""
 
     @property
     def complete(self) -> bool:
-        """Whether no record is missing."""
-        return self.records == self.total
+        """Whether no record is missing, and claims could be made of them."""
+        return self.records == self.total and not self.problem
 
     @property
     def label(self) -> str:
@@ -90,11 +92,21 @@ def figure_png(study: Study, records: Sequence[Record], dpi: float = 160) -> byt
 def holdings(study: Study, journal: Journal) -> list[Holding]:
     """What there is of a study, scene by scene; nothing that there are no records of."""
     found = []
-    for scene in journal.scenes(study.name, study.revision):
+    for scene in told_apart(journal.scenes(study.name, study.revision)):
         full = _holding(study, scene, False, journal)
         quick = _holding(study, scene, True, journal)
-        found += [holding for holding in (full, quick) if holding.records]
+        # The full form may share tasks with the quick one, of which nobody asked for the rest.
+        found += [one for one in (full, quick) if one.complete or (one.records and not (one is quick and full.records))]
     return found
+
+
+def told_apart(scenes: Sequence[SceneSource]) -> list[SceneSource]:
+    """Scenes with the digest behind the name of those that share it, which happens when a file has been made again."""
+    names = [scene.name for scene in scenes]
+    return [
+        replace(scene, name=f"{scene.name}-{scene.digest[:6]}") if names.count(scene.name) > 1 else scene
+        for scene in scenes
+    ]
 
 
 def find_scene(study: Study, name: str | None, journal: Journal) -> SceneSource:
@@ -103,17 +115,14 @@ def find_scene(study: Study, name: str | None, journal: Journal) -> SceneSource:
     Raises
     ------
     ValueError
-        If there is none, or more than one.
+        If there is none.
     """
     if name is None:
         return generated()
-    scenes = journal.scenes(study.name, study.revision)
-    chosen = [scene for scene in scenes if name in {scene.name, scene.digest}]
-    if len(chosen) == 1:
-        return chosen[0]
-    if chosen:
-        digests = " or ".join(scene.digest for scene in chosen)
-        raise ValueError(f"{journal.path} has several scenes {name!r}; give one by its digest, {digests}")
+    scenes = told_apart(journal.scenes(study.name, study.revision))
+    for scene in scenes:
+        if name in {scene.name, scene.digest}:
+            return scene
     there = ", ".join(scene.name for scene in scenes) or "none"
     raise ValueError(f"{journal.path} has no records of {study.name} on {name!r}; scenes it has: {there}")
 
@@ -128,13 +137,15 @@ def agreement(claims: Sequence[Claim]) -> str:
     >>> agreement([Claim(page=40, says="a", found="a", agrees=True), Claim(page=41, says="b", found="c", agrees=None)])
     'agrees 1 of 2, 1 open'
     """
-    still_open = sum(claim.agrees is None for claim in claims)
-    agreeing = sum(claim.agrees is True for claim in claims)
-    return f"agrees {agreeing} of {len(claims)}" + (f", {still_open} open" if still_open else "")
+    stated = [claim.agrees for claim in claims if claim.page is not None]
+    still_open = stated.count(None)
+    return f"agrees {stated.count(True)} of {len(stated)}" + (f", {still_open} open" if still_open else "")
 
 
 def verdict(claim: Claim) -> str:
-    """Whether a claim agrees, in a word."""
+    """Whether a claim agrees, in a word; of a question of ours it cannot be said."""
+    if claim.page is None:
+        return "–"
     return {True: "yes", False: "no", None: "open"}[claim.agrees]
 
 
@@ -173,20 +184,28 @@ def page(
         figures[name] = (study, held[0])
         details += ["", f"## {study.name}: {study.title}", "", f"{study.source}.", "", f"![{study.title}]({name})"]
         for (page, says), found in _statements(held).items():
+            details += ["", f"**{place(page)}: {says}.**", ""]
+            if page is None:
+                details += [f"- {label}: {_sentence(one)}" for label, one in found.items()]
+                continue
             verdicts = [verdict(found[label]) if label in found else "" for label in labels]
             lines.append(_row([f"[{study.name}](#{_anchor(study)})", str(page), says, *verdicts]))
-            details += ["", f"**Page {page}: {says}.**", ""]
             details += [f"- {label}: {verdict(one)}. {_sentence(one)}" for label, one in found.items()]
     return "\n".join([*lines, *details]) + "\n", figures
 
 
-def _statements(held: Sequence[Holding]) -> dict[tuple[int, str], dict[str, Claim]]:
+def _statements(held: Sequence[Holding]) -> dict[tuple[int | None, str], dict[str, Claim]]:
     """Page and statement → label of the scene → claim."""
-    found: dict[tuple[int, str], dict[str, Claim]] = {}
+    found: dict[tuple[int | None, str], dict[str, Claim]] = {}
     for holding in held:
         for claim in holding.claims:
             found.setdefault((claim.page, claim.says), {})[holding.label] = claim
     return found
+
+
+def place(page: int | None) -> str:
+    """Where a claim stands."""
+    return "Beyond the source" if page is None else f"Page {page}"
 
 
 def _anchor(study: Study) -> str:
@@ -212,5 +231,10 @@ def _row(cells: Sequence[str]) -> str:
 def _holding(study: Study, scene: SceneSource, quick: bool, journal: Journal) -> Holding:
     keys = list(dict.fromkeys(task.key for task in make_tasks(study, scene, quick)))
     there = sum(journal.seconds(key) is not None for key in keys)
-    claims = tuple(study.claims(gather(study, scene, quick, journal))) if there == len(keys) else ()
-    return Holding(scene=scene, quick=quick, records=there, total=len(keys), claims=claims)
+    claims, problem = (), ""
+    if there == len(keys):
+        try:
+            claims = tuple(study.claims(gather(study, scene, quick, journal)))
+        except Exception as error:  # noqa: BLE001 - the other studies of the list must not suffer
+            problem = one_line(error)
+    return Holding(scene=scene, quick=quick, records=there, total=len(keys), claims=claims, problem=problem)

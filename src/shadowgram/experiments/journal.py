@@ -78,10 +78,11 @@ class Entry:
     def columns(self) -> tuple[object, ...]:
         """Values of `COLUMNS`."""
         seed = json.loads(self.spec).get("seed")
+        storable = isinstance(seed, int) and not isinstance(seed, bool) and abs(seed) < 2**63
         return (
             self.key, self.study, self.revision, self.scene.name, self.scene.digest, self.spec, self.result,
-            seed if isinstance(seed, int) else None,
-            self.version, self.commit, self.host, self.started, self.seconds,
+            seed if storable else None,
+            self.version, self.commit, self.host, self.started, float(self.seconds),
         )  # fmt: skip
 
 

@@ -203,16 +203,18 @@ class _Run:
         self.news.put(None)
 
     def go(self) -> Summary:
-        while self.pending or self.running or self.suspects:
-            self._launch()
-            self._tell()
-            if not self.running or time.monotonic() >= self.deadline:
-                break
+        try:
+            while self.pending or self.running or self.suspects:
+                self._launch()
+                self._tell()
+                if not self.running or time.monotonic() >= self.deadline:
+                    break
+                with suppress(queue.Empty):
+                    self._hear(self.news.get(timeout=max(0.0, min(TICK, self.deadline - time.monotonic()))))
+        finally:
             with suppress(queue.Empty):
-                self._hear(self.news.get(timeout=max(0.0, min(TICK, self.deadline - time.monotonic()))))
-        with suppress(queue.Empty):
-            while True:  # what came at the last moment
-                self._hear(self.news.get_nowait())
+                while True:  # what came at the last moment, whatever ended the loop
+                    self._hear(self.news.get_nowait())
         self._tell()
         return self._summary()
 
@@ -255,7 +257,6 @@ class _Run:
         accused = isinstance(outcome, Failure) and outcome.suspect and task is not self.alone
         if accused:
             self.suspects.append(task)
-        self._launch()  # before the disk is waited for
         if accused:
             return
         if isinstance(outcome, Failure):
@@ -287,7 +288,7 @@ class _Run:
             computed=len(self.seconds),
             reused=self.reused,
             failed=tuple(self.failed),
-            interrupted=self.interrupted,
+            interrupted=self.interrupted and bool(self.pending or self.running or self.suspects),
             finished=self.finished,
             dropped=len(self.running),
             seconds=time.monotonic() - self.begun,

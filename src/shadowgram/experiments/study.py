@@ -50,18 +50,18 @@ class Record:
 
 @dataclass(frozen=True, kw_only=True)
 class Claim:
-    """A statement of the source, and what was found.
+    """A statement of the source, or a question of ours that it does not ask, and what was found.
 
     Attributes
     ----------
-    page : of the dissertation.
-    says : the statement.
+    page : of the dissertation; None for a question of ours.
+    says : the statement, or the question.
     found : what the records show, with numbers.
-    agrees : whether it does; None where the records cannot tell.
+    agrees : whether it does; None where the records cannot tell, and for a question.
     why : reason, where it does not agree or only in part.
     """
 
-    page: int
+    page: int | None
     says: str
     found: str
     agrees: bool | None

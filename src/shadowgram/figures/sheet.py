@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from .images import Point, Zoom, frame, mark, show
 from .style import MAP, MARKERS, new_figure
@@ -166,6 +167,8 @@ def _draw_curves(axes: Axes, panel: Curves) -> None:
     axes.set(title=panel.title, xlabel=panel.xlabel, ylabel=panel.ylabel)
     if "x" in panel.log:
         axes.set_xscale("log")
+    elif all(np.equal(np.mod(curve.x, 1), 0).all() for curve in panel.curves.values()):
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))  # there is no half of a shot
     if "y" in panel.log:
         axes.set_yscale("log")
     axes.set_ylim(panel.bottom, panel.top)

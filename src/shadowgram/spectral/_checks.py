@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+LEAST_WAVELENGTH = 50.0  # nm; below, there are no lenses and gratings of these kinds
+
 
 def check_count(name: str, value: object) -> None:
     """Raise unless `value` is a whole number of at least 1."""
@@ -32,6 +34,15 @@ def check_wavelengths(wavelengths: tuple[float, float]) -> None:
         or not 0 < wavelengths[0] < wavelengths[1]
     ):
         raise ValueError(f"wavelengths must be (shortest, longest) in nm, ascending, got {tuple(wavelengths)}")
+    check_nanometres(wavelengths)
+
+
+def check_nanometres(wavelengths: Sequence[float]) -> None:
+    """Raise if wavelengths seem to be in µm."""
+    if max(wavelengths) < LEAST_WAVELENGTH:
+        raise ValueError(
+            f"wavelengths are in nm, got {min(wavelengths):g} to {max(wavelengths):g}: are these µm? Then multiply by 1000"
+        )
 
 
 def check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:

@@ -102,7 +102,8 @@ class Dispersion:
         below = share_below(cuts, np.maximum(spread, np.finfo(float).tiny)[:, None], 1.0)
         # What rounding leaves outside belongs to the pixels at the ends.
         below[:, 0], below[:, -1] = 0, 1
-        return Footprints(first.astype(np.int64), np.diff(below))
+        # Rounding can leave a share of -1e-17, which no transmittance has.
+        return Footprints(first.astype(np.int64), np.maximum(np.diff(below), 0))
 
     def vignetted(self, columns: int) -> tuple[float, ...]:
         """Share of each band's light that misses a detector (or a code) `extra_columns` wider than the scene of `columns`."""
@@ -126,15 +127,20 @@ def smeared_code(code: np.ndarray, footprints: Footprints, band: int, columns: i
 def interpolate(curve: Curve, nm: np.ndarray) -> np.ndarray:
     """Displacement at wavelengths `nm`: a monotone cubic between the points, straight lines beyond the ends.
 
+    At an end the slope is at least a third of that between the last two points: the usual formula can make it 0, and the line
+    beyond would put all wavelengths on one pixel.
+
     Notes
     -----
-    Source: Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984) 300.
+    Source: Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984) 300, for the slopes inside.
     """
-    from scipy.interpolate import PchipInterpolator
+    from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
     wavelength, displaced = np.array(curve).T
-    cubic = PchipInterpolator(wavelength, displaced)
-    first, last = cubic.derivative()(wavelength[[0, -1]])
+    slopes = PchipInterpolator(wavelength, displaced).derivative()(wavelength)
+    secants = np.diff(displaced) / np.diff(wavelength)
+    slopes[[0, -1]] = first, last = np.maximum(slopes[[0, -1]], secants[[0, -1]] / 3)
+    cubic = CubicHermiteSpline(wavelength, displaced, slopes)
     below, above = np.minimum(nm - wavelength[0], 0), np.maximum(nm - wavelength[-1], 0)
     return cubic(nm - below - above) + first * below + last * above
 

@@ -127,8 +127,10 @@ def light_missed(table: ColumnTable, columns: int) -> np.ndarray:
 def interval_means(values: np.ndarray, axis: int, edges: np.ndarray, *, whole: bool = False) -> np.ndarray:
     """Means over the intervals between `edges` along an axis whose cells are 0 to 1, 1 to 2, and so on.
 
-    Over the part of an interval that has cells, or over the `whole` of it, with zeros beyond the cells.
+    Over the part of an interval that has cells, or over the `whole` of it, with zeros beyond the cells. float64 stays float64,
+    anything else becomes float32.
     """
+    values = values.astype(np.float64 if values.dtype == np.float64 else np.float32, copy=False)
     cells = np.arange(values.shape[axis])
     overlap = np.minimum(edges[1:, None], cells + 1) - np.maximum(edges[:-1, None], cells)
     overlap = np.clip(overlap, 0, None)

@@ -49,7 +49,8 @@ class MeasuredResolution:
         return self.wavelengths[np.isnan(self.shifts)]
 
     def __str__(self) -> str:
-        text = f"bands of {self.band_width:.4g} ± {self.band_width_error:.2g} nm"
+        error = "" if math.isnan(self.band_width_error) else f" ± {self.band_width_error:.2g}"  # two bands have none
+        text = f"bands of {self.band_width:.4g}{error} nm"
         if len(self.left_out):
             text += f"; left out: {', '.join(f'{w:g}' for w in self.left_out)} nm, where the pattern is not found"
         return text
@@ -71,8 +72,9 @@ def measured_resolution(
     white : (shot, band, y, x) captures of a white board, one a band and shot, dark subtracted. The code need not be known.
     wavelengths : (band,) nm, ascending; centres of the captured bands, any distance apart.
     reference : index of the band against which the others are shifted.
-    pitch_ratio : code columns per detector element, Δd/Δc. The mask's image is stretched by 1/(1−s), which the captures alone do
-        not tell; multiply by 1 − s where that matters (`estimate_geometry` finds it, from the code).
+    pitch_ratio : code columns per detector element as the detector sees them, (1 − s)·Δd/Δc. The captures alone do not tell the
+        stretch of the mask's image (`estimate_geometry` does, from the code); with 1 − s left out the bands come out too narrow
+        by that factor.
     shot, row : which row of which capture is returned for show; the middle one if not said.
 
     Returns
@@ -131,7 +133,7 @@ def measured_resolution(
 def _check_choices(shape: tuple[int, ...], reference: int, shot: int, row: int | None, pitch_ratio: float) -> None:
     shots, bands, rows, columns = shape
     for name, index, size in (("reference", reference, bands), ("shot", shot, shots), ("row", row or 0, rows)):
-        if not (isinstance(index, int | np.integer) and 0 <= index < size):
+        if isinstance(index, bool) or not (isinstance(index, int | np.integer) and 0 <= index < size):
             raise ValueError(f"{name} must be a whole number from 0 to {size - 1}, got {index!r}")
     if not (math.isfinite(pitch_ratio) and pitch_ratio > 0):
         raise ValueError(f"pitch_ratio is code columns per detector element, a positive number, got {pitch_ratio}")

@@ -19,13 +19,14 @@ from numpy.typing import ArrayLike
 
 from shadowgram.codes.patterns import check_code
 
-from ._checks import check_pitch, check_shape
+from ._checks import check_nanometres, check_pitch, check_shape
 from .resolution import DETECTOR_LIMITED, Resolution
 
 if TYPE_CHECKING:
     from ._shift_operators import ColoredOperator
 
 MOST_SATURATED = 1e-3  # share of a capture's pixels
+PILED = 5  # times as many pixels at the largest value as at the one below: noise spreads, saturation piles up
 LEAST_LIGHT = 5.0  # standard errors of a capture's mean above dark
 LEAST_SHARE = 1e-3  # of the brightest capture's mean; the black level drifts by as much
 DEAD = 0.05  # response, relative to the mean
@@ -85,7 +86,7 @@ class CalibratedImager:
     def __post_init__(self) -> None:
         check_shape("cube_shape", self.cube_shape, ("band", "y", "x"))
         check_pitch("pitch", self.pitch)
-        check_centres(self.band_centres, self.cube_shape[0])
+        object.__setattr__(self, "band_centres", checked_centres(self.band_centres, self.cube_shape[0]))
 
     @property
     def code_shape(self) -> tuple[int, int, int]:
@@ -153,6 +154,17 @@ class Calibration:
         """Forward model: reflectance (band, y, x), relative to the white board → snapshots (shot, y, x)."""
         return self.imager.operator(self.code)
 
+    def __str__(self) -> str:
+        shots, bands, ny, nx = self.code.shape
+        light = self.code.mean(axis=(0, 2, 3))
+        weakest = int(light.argmin())
+        dead = int(np.count_nonzero(np.isinf(self.response)))
+        return (
+            f"{shots} shots × {bands} bands × {ny} × {nx} (y × x), brightest pixel {self.scale:.5g} counts, {dead} dead pixels,"
+            f" weakest band {self.imager.band_centres[weakest]:g} nm with {100 * light[weakest] / light.max():.3g} % of the"
+            " strongest one's light"
+        )
+
     def snapshots(self, raw: ArrayLike, *, exposure: float = 1.0, dark: ArrayLike | None = None) -> np.ndarray:
         """Snapshots of a target, as `operator` gives them for its reflectance relative to the white board.
 
@@ -207,7 +219,8 @@ def calibrate(
     flat : (y, x) or (frame, y, x) captures of uniform light without the mask. Captures are divided by (flat − dark) over its
         mean, which takes out what differs from pixel to pixel; pixels below 5 % of the mean are left out as dead.
     saturation : raw value of a saturated pixel. By default the full scale of the type for integers and none for floats; a
-        camera of 12 bits in a type of 16 saturates at 4095. ``inf`` for no check.
+        camera of 12 bits in a type of 16 saturates at 4095, and integers of which many end at one value ask for this. ``inf``
+        for no check.
 
     Returns
     -------
@@ -245,6 +258,7 @@ def calibrate(
     centres = checked_centres(wavelengths, values.shape[1])
     check_pitch("pitch", pitch)
     _check_saturation(values, saturation, "the white capture")
+    _check_repeated(values, centres)
     shape = values.shape[2:]
     black = np.zeros(shape, np.float32) if dark is None else _mean_frame("dark", dark, shape)
     light = values.astype(np.float32) - black
@@ -275,6 +289,7 @@ def check_centres(centres: Sequence[float], bands: int) -> None:
     rising = all(a < b for a, b in pairwise(centres))
     if not (all(math.isfinite(c) for c in centres) and centres[0] > 0 and rising):
         raise ValueError(f"wavelengths must be the bands' centres in nm, ascending, got {tuple(centres)}")
+    check_nanometres(centres)
 
 
 def checked_centres(wavelengths: Sequence[float], bands: int) -> tuple[float, ...]:
@@ -290,7 +305,7 @@ def checked_centres(wavelengths: Sequence[float], bands: int) -> tuple[float, ..
 def real_captures(name: str, values: ArrayLike, axes: tuple[str, ...]) -> np.ndarray:
     """Array of finite real numbers with these axes, none of them empty."""
     array = np.asarray(values)
-    if array.dtype.kind not in "fiu":
+    if array.dtype.kind not in "fiub":
         raise TypeError(f"{name} must be real numbers, got an array of {array.dtype}")
     if array.ndim != len(axes) or 0 in array.shape:
         raise ValueError(f"{name} must have the axes ({', '.join(axes)}), got an array of shape {array.shape}")
@@ -313,7 +328,11 @@ def _check_saturation(captures: np.ndarray, saturation: float | None, what: str)
     if saturation is None:
         if captures.dtype.kind == "f":
             return
-        saturation = float(np.iinfo(captures.dtype).max)
+        saturation = _plateau(captures, what)
+    if not saturation > 0:
+        raise ValueError(
+            f"saturation is the raw value of a saturated pixel, above 0, or inf for no check; got {saturation:g}"
+        )
     share = (captures >= saturation).mean(axis=(2, 3))
     if (share > MOST_SATURATED).any():
         shot, band = np.argwhere(share > MOST_SATURATED)[0]
@@ -321,6 +340,31 @@ def _check_saturation(captures: np.ndarray, saturation: float | None, what: str)
             f"{what} of {_place(shot, band if share.shape[1] > 1 else None)} is saturated in {100 * share[shot, band]:.3g} % of"
             f" its pixels (at {saturation:g} or more): shorten the exposure"
         )
+
+
+def _plateau(captures: np.ndarray, what: str) -> float:
+    """Full scale of a type of whole numbers; but raise if pixels pile up at a smaller largest value, which may be the camera's."""
+    if captures.dtype.kind == "b":
+        return 1.0
+    largest = captures.max()
+    at, below = (np.count_nonzero(captures == value, axis=(2, 3)) for value in (largest, largest - 1))
+    full, pixels = float(np.iinfo(captures.dtype).max), captures[0, 0].size
+    if largest < full and (piled := (at > MOST_SATURATED * pixels) & (at > PILED * (below + 1))).any():
+        raise ValueError(
+            f"{100 * at[piled].max() / pixels:.3g} % of the pixels of {what} have the same largest value, {largest}: if the camera"
+            " saturates there, shorten the exposure; else say saturation, or inf for no check"
+        )
+    return full
+
+
+def _check_repeated(white: np.ndarray, centres: tuple[float, ...]) -> None:
+    """Raise if two neighbouring bands are the same capture, pixel by pixel; noise makes that impossible in raw data."""
+    for k in range(1, white.shape[1]):
+        if white.dtype.kind in "iu" and np.array_equal(white[:, k], white[:, k - 1]):
+            raise ValueError(
+                f"the white captures at {centres[k - 1]:g} and {centres[k]:g} nm are the same in every pixel:"
+                " one was stored twice"
+            )
 
 
 def _check_light(light: np.ndarray, centres: tuple[float, ...]) -> None:

@@ -48,7 +48,8 @@ class ContinuousSSCSI:
 
     Parameters
     ----------
-    imager : the camera; its `shear` and `bands` do not matter here.
+    imager : the camera. Its `shear` does not matter; its bands give the unit of the snapshots, light per band, and the shape of
+        `truth`.
     bands : fine bands, evenly over `imager.wavelengths`; several to each band of the imager.
     oversampling : scene pixels a detector element, each way; a multiple of `imager.pitch_ratio`.
     pupil : µm; diameter of the image of the lens aperture on the spectral plane. 0 is the infinitesimal aperture of eq. (2.2).
@@ -129,8 +130,8 @@ class ContinuousSSCSI:
 
         Returns
         -------
-        (band, y, x) array of `imager.resolution.cube_shape` and the dtype of `scene`. The last band may reach beyond the longest
-        wavelength, where there is no light: its mean is that of the whole band.
+        (band, y, x) float array of `imager.resolution.cube_shape`; float64 if the scene is, else float32. The last band may reach
+        beyond the longest wavelength, where there is no light: its mean is that of the whole band.
         """
         scene = np.asarray(scene)
         if scene.shape != self.scene_shape:
@@ -221,17 +222,11 @@ class ContinuousSSCSI:
         rows = self.oversampling // self.imager.pitch_ratio
         if self.blur == 0:
             return _Mask(np.repeat(code, rows, axis=1), 1, 0)
-        from scipy.signal import fftconvolve
-
         samples = rows * math.ceil(min(_BLUR_SAMPLES / self.blur, _MOST_SAMPLES) / rows)
         disc = _disc(self.blur * samples)
-        margin = len(disc) // 2
-        fine = np.repeat(np.repeat(code, samples, axis=1), samples, axis=2).astype(np.float64)
-        fine = np.pad(fine, ((0, 0), (margin, margin), (margin, margin)))
-        seen = fftconvolve(fine, disc[None], mode="same", axes=(1, 2))[:, margin:-margin]
-        shots, _, width = seen.shape
-        seen = seen.reshape(shots, -1, samples // rows, width).mean(axis=2)
-        return _Mask(np.clip(seen, 0, 1).astype(np.float32), samples, margin)
+        # Shot by shot: a shot is many times larger while it is blurred.
+        seen = np.stack([_blurred(shot, disc, samples, samples // rows) for shot in code])
+        return _Mask(seen, samples, len(disc) // 2)
 
     @cached_property
     def _voxel_edges(self) -> np.ndarray:
@@ -244,6 +239,19 @@ class ContinuousSSCSI:
         stretched = imager.pitch_ratio * (1 - imager.mask_position)
         edges = (first + np.arange(columns + 1) - imager.mask_offset) / stretched
         return np.clip(edges, 0, imager.detector_shape[1])
+
+
+def _blurred(shot: np.ndarray, disc: np.ndarray, samples: int, merged: int) -> np.ndarray:
+    """A shot (y, x) with `samples` samples an element each way, convolved; it gains half a disc at either end along x.
+
+    Along y it keeps its length, and `merged` rows become one.
+    """
+    from scipy.signal import fftconvolve
+
+    margin = len(disc) // 2
+    fine = np.pad(shot.repeat(samples, axis=0).repeat(samples, axis=1).astype(np.float64), margin)
+    seen = fftconvolve(fine, disc, mode="same")[margin:-margin]
+    return np.clip(seen.reshape(-1, merged, seen.shape[1]).mean(axis=1), 0, 1).astype(np.float32)
 
 
 def _disc(diameter: float) -> np.ndarray:

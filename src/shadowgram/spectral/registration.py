@@ -26,6 +26,8 @@ from .calibration import band_edges, checked_centres, real_captures
 from .sscsi import SSCSI
 
 ACCEPTABLE = 0.1  # px
+LIKE = 0.6  # correlation that captures of the code alone reach, and snapshots of a target do not
+UNSURE = 0.5  # px
 SMALLEST_IMAGE = 32  # px a side
 MOST_ROWS = 8  # detector rows by which mask and detector may stand apart
 CERTAIN = 5.0  # standard errors by which the mask position must exceed 0
@@ -67,9 +69,14 @@ class Misregistration:
         return self.shift < ACCEPTABLE
 
     def __str__(self) -> str:
-        moved = f"the code is {self.dy:+.2f} px down and {self.dx:+.2f} px right of where it was calibrated"
+        moved = f"the code is {self.dy:+z.2f} px down and {self.dx:+z.2f} px right of where it was calibrated"
         if self.acceptable:
             return f"The calibration holds: {moved}, less than {ACCEPTABLE:g} px."
+        if self.correlation < LIKE and self.shift < UNSURE:
+            return (
+                f"It seems that {moved}; but a correlation of {self.correlation:.2f} is that of a target's snapshots, which give"
+                f" the shift to about {UNSURE:g} px: check with a white capture."
+            )
         return f"The calibration no longer holds: {moved}, {ACCEPTABLE:g} px or more; calibrate again."
 
 
@@ -99,8 +106,8 @@ def misregistration(reference: ArrayLike, images: ArrayLike, *, window: int = 8)
     Both are divided by their mean over 15 × 15 pixels, which takes out most of the scene and the lamp, and cross-correlated; the
     shift is the maximum of the correlation after smoothing with a Gaussian of 2 px. White captures of 64 × 64 px and more, with
     30 dB of noise, gave it to 0.02 px. Snapshots of a target show the scene as well, and its spectrum decides how the codes of
-    the bands add up: there errors reached 0.2 px on 128 × 128, 0.1 on 256 × 256. They tell that something has moved, white
-    captures by how much.
+    the bands add up: there errors reached 0.4 px on 128 × 128 and 0.3 on 256 × 256. They tell that something has moved
+    far, white captures by how much.
 
     What a shift costs, PSNR of EigenTV in dB on a generated scene of 128 × 128 (smallest and largest loss over x and y, sharp and
     blurred masks, 12, 6 and 3 bands with 4, 3 and 2 shots): at 30 dB SNR 0.3–1.6 for 0.05 px, 1.5–4.4 for 0.1, 5.5–12 for
@@ -191,11 +198,12 @@ class Geometry:
     blur: tuple[float, float]
     correlation: np.ndarray
 
-    @property
-    def off_centre(self) -> float:
-        """Code columns by which the detector looks further right than in an `SSCSI`, whose mask is centred on the optical axis."""
-        edges = band_edges(self.wavelengths)
-        middle = self.dispersion * ((edges[0] + edges[-1]) / 2 - self.wavelengths[0])
+    def off_centre(self, wavelengths: tuple[float, float]) -> float:
+        """Code columns by which the detector looks further right than in an `SSCSI` of these wavelengths.
+
+        Its mask is centred on the optical axis, where the middle of (shortest, longest) nm arrives.
+        """
+        middle = self.dispersion * (sum(wavelengths) / 2 - self.wavelengths[0])
         return self.dx + middle - self.mask_position * self.code_columns / 2
 
     def imager(self, template: SSCSI) -> SSCSI:
@@ -232,9 +240,12 @@ class Geometry:
 
     def __str__(self) -> str:
         seen = int(np.count_nonzero(self.correlation))
+        edges = float(band_edges(self.wavelengths)[0]), float(band_edges(self.wavelengths)[-1])
         lines = {
-            "mask position": f"{self.mask_position:.5f} ± {self.mask_position_error:.5f}",
-            "shift": f"{self.dy:+.3f} ± {self.dy_error:.3f} detector rows, {self.dx:+.3f} ± {self.dx_error:.3f} code columns",
+            "mask position": f"{self.mask_position:.6f} ± {self.mask_position_error:.1g}",
+            "alignment": f"{self.dy:+z.3f} ± {self.dy_error:.1g} detector rows,"
+            f" {self.off_centre(edges):+z.3f} code columns off centre",
+            "first column": f"{self.dx:+z.3f} ± {self.dx_error:.1g}, seen by the shortest wavelength",
             "dispersion": f"{self.dispersion:.5g} ± {self.dispersion_error:.2g} code columns per nm",
             "nonlinearity": f"{np.nanmax(np.abs(self.nonlinearity)):.3f} code columns at most",
             "dispersion ratio": f"{self.dispersion_ratio:.4g} ± {self.dispersion_ratio_error:.2g}",

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from ._sscsi_operator import SSCSIOperator
 
 SHEARS = ("exact", "centre", "edge")
+MOST_PIECES = 3e7  # code columns times bands, of which the geometry makes tables
 MOST_BANDS = 10_000  # far above any spectrometer: a guard against a unit mistaken, before memory runs out
 
 
@@ -105,6 +106,11 @@ class SSCSI:
             raise ValueError(
                 f"this geometry has {max(self.spectral_columns, self.bands or 0):.4g} bands, more than {MOST_BANDS};"
                 " check mask_position, dispersion_ratio and bands"
+            )
+        if self.code_shape[1] * max(self.spectral_columns, self.bands or 1) > MOST_PIECES:
+            raise ValueError(
+                f"{self.code_shape[1]} code columns times {max(self.spectral_columns, self.bands or 1):.4g} bands are more than"
+                f" {MOST_PIECES:.2g}: check detector_shape, mask_position and bands"
             )
 
     @property

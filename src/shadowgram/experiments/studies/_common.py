@@ -18,8 +18,6 @@ from shadowgram.scenes.colour import auto_exposure
 from shadowgram.solvers.eigen_tv import EigenTV
 from shadowgram.solvers.gpsr import GPSR, search_tau
 from shadowgram.solvers.solution import solve
-from shadowgram.spectral.cassi import CASSI, DualCASSI
-from shadowgram.spectral.colored import ColoredCASSI
 from shadowgram.spectral.continuous import ContinuousSSCSI
 from shadowgram.spectral.sscsi import SSCSI
 
@@ -119,13 +117,6 @@ def measure_fine(
     over = scene.shape[1] // imager.detector_shape[0]
     camera = ContinuousSSCSI(imager=imager, bands=len(scene), oversampling=over, pupil=pupil)
     return camera.operator(code).forward(scene), camera.truth(scene)
-
-
-def measure_fine_cassi(imager: CASSI | DualCASSI | ColoredCASSI, code: np.ndarray, scene: np.ndarray) -> np.ndarray:
-    """Snapshots (shot, y, x) of a scene (band, y, x) with a multiple of the imager's bands."""
-    factor = len(scene) // imager.resolution.bands
-    repeated = np.repeat(code, factor, axis=1) if isinstance(imager, ColoredCASSI) else code
-    return imager.finer(factor).operator(repeated).forward(scene) / np.float32(factor)
 
 
 def colours(values: np.ndarray, wavelengths: Sequence[float] | np.ndarray, exposure: float | None = None) -> np.ndarray:

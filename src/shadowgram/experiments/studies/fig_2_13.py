@@ -330,16 +330,15 @@ def _first_order(records: Sequence[Record]) -> Claim:
     clock = ", ".join(
         f"{s} {times[s + ' forward']:.3g} + {times[s + ' adjoint']:.3g}" for s in ("edge", "centre", "exact")
     )
-    loses = all(
-        _psnr(records, solver, CONTINUOUS, "exact")[s] > psnr
-        for solver in SOLVERS for s, psnr in _psnr(records, solver, CONTINUOUS, "edge").items()
-    )  # fmt: skip
+    error = {r.spec["bands"]: r.values["model_error"] for r in quality if r.spec["shear"] == "edge"}
+    falls = {bands: error[bands] / error[2 * bands] for bands in error if 2 * bands in error}
     return Claim(
         page=25, says="the discretization model must be considered a first order approximation",
         found="PSNR (dB) of a finely resolved scene with edge / centre / exact shear: " + "; ".join(parts)
         + f". Coefficients are off by {errors['edge']:.2f} (edge) and {errors['centre']:.2f} (centre) r.m.s. Medians of ms of"
-        f" forward + adjoint on this machine: {clock}",
-        agrees=loses,
+        f" forward + adjoint on this machine: {clock}. Each doubling of the bands divides the edge model's error of the snapshots"
+        f" by {', '.join(f'{fall:.2f}' for fall in falls.values())}: first order is 2",
+        agrees=all(1.6 < fall < 2.5 for fall in falls.values()),
     )  # fmt: skip
 
 
@@ -350,12 +349,11 @@ def _hidden(records: Sequence[Record]) -> Claim:
         gaps += [(same[s] - fine[s], solver, s) for s in same]
     worst, least = max(gaps), min(gaps)
     return Claim(
-        page=25, says="simulated measurements g = HΨπ (eq. 2.28) show what the camera reaches (section 2.4)",
+        page=None, says="how much does a simulation hide that measures and reconstructs with the same model, as section 2.4?",
         found="of the PSNR that the edge model reaches on its own measurements it loses"
         f" {least[0]:.1f} ({NAMES[least[1]]}, s = {least[2]:.3g}) to {worst[0]:.1f} dB ({NAMES[worst[1]]}, s = {worst[2]:.3g})"
         " on a finely resolved scene",
-        agrees=bool(worst[0] < 1),
-        why="" if worst[0] < 1 else "measuring and reconstructing with the same model leaves its error out",
+        agrees=None,
     )  # fmt: skip
 
 

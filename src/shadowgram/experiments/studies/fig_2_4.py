@@ -279,9 +279,9 @@ def _texture(records: Sequence[Record]) -> Claim:
     last, columns = max(seen), far[-1].spec["size"]
     stretched = all(v["texture"] < 2 / (1 - s) for s, v in seen.items())
     return Claim(
-        page=11, says="the stretching is what can be seen in the snapshots of Fig. 2.4, of the whole spectrum",
+        page=None, says="what makes the texture of the snapshots long, the stretching or the dispersion?",
         found="texture of a white board in all wavelengths: " + "; ".join(parts),
-        agrees=stretched,
+        agrees=None,
         why="" if stretched else "the spectrum lies over sβNc columns of the mask, and smears the code over sβNc/(1 − s) pixels"
         f" ({last * columns / (1 - last):.0f} at s = {last:g}), where stretching alone gives {1 / (1 - last):.2f}",
     )  # fmt: skip
@@ -290,10 +290,10 @@ def _texture(records: Sequence[Record]) -> Claim:
 def _models(records: Sequence[Record]) -> Claim:
     off = {r.spec["mask_position"]: r.values["difference"] for r in records}
     return Claim(
-        page=25, says="the discrete models are a first order approximation",
+        page=None, says="how far are snapshots of the discrete model from those of a finely resolved scene?",
         found="difference of the snapshots of the scene, discrete to finely resolved, over s: "
         + ", ".join(f"{s:g}: {100 * value:.1f} %" for s, value in off.items()),
-        agrees=off[0.0] < 1e-5 < min(value for s, value in off.items() if s > 0),
+        agrees=None,
     )  # fmt: skip
 
 
