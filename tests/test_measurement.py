@@ -98,6 +98,19 @@ def test_band_means_of_bands_that_do_not_divide():
     assert np.allclose(got.ravel(), [(1 + 0.5 * 2) / 1.5, (0.5 * 2 + 6) / 1.5])
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, bool, np.float64])
+def test_cubes_of_whole_numbers_measure_and_average_like_others(dtype):
+    whole = np.arange(8 * 16 * 20).reshape(8, 16, 20) % 2
+    imager = sg.CASSI(**CUBE)
+    means = band_means(whole.astype(dtype), imager)
+    assert means.dtype == (np.float64 if dtype is np.float64 else np.float32)
+    np.testing.assert_allclose(means, whole.reshape(4, 2, 16, 20).mean(axis=1), rtol=1e-6)
+    fine = capture(imager, code_for(imager), whole.astype(dtype), fine=True).snapshots
+    np.testing.assert_allclose(
+        fine, capture(imager, code_for(imager), whole.astype(np.float64), fine=True).snapshots, rtol=1e-5, atol=1e-6
+    )
+
+
 def spoiled(value):
     cube = cube_for(sscsi())
     cube[1, 2, 3] = value

@@ -37,6 +37,14 @@ def entry(key="k", number=1, seed=3):
     )
 
 
+@pytest.mark.parametrize(("seed", "seconds"), [("9999999999999999999999", 1.25), ("true", 1.25), ("3", 2)])
+def test_numbers_that_sqlite_would_change_come_back(seed, seconds, tmp_path):
+    one = dataclasses.replace(entry(), spec=f'{{"seed": {seed}}}', seconds=seconds)
+    with open_journal(tmp_path) as journal:
+        assert journal.add(one)
+        assert journal.records(["k"])["k"].seconds == seconds
+
+
 @pytest.fixture
 def folder(tmp_path):
     """A folder with a journal of three records."""

@@ -73,6 +73,33 @@ def test_the_figure_does_not_depend_on_the_order(little, tmp_path):
     assert drawn(study, tmp_path / "forth")[0] == drawn(study, tmp_path / "back")[0]
 
 
+class Failing(Threads):
+    """Executor that computes at once, and has lost its workers when it is given another task."""
+
+    given = 0
+
+    def slots(self):
+        return 1 + self.given
+
+    def submit(self, task, report):
+        self.given += 1
+        if self.given > 2:
+            raise OSError("the workers are gone")
+        report(task, compute(task))
+
+
+def test_results_that_came_before_the_executor_failed_are_kept(little, tmp_path):
+    study = little.make_study([little.Spec(number=n) for n in range(5)])
+    with pytest.raises(OSError, match="the workers are gone"):
+        compute_all(study, tmp_path, Failing(1))
+    assert compute_all(study, tmp_path, Threads(1)).reused == 2
+
+
+def test_more_workers_than_a_machine_can_hold_are_refused():
+    with pytest.raises(ValueError, match="--workers takes a whole number from 1 to"):
+        dask_run.LocalWorkers(10_000)
+
+
 def test_a_task_is_computed_once(little, tmp_path):
     log = str(tmp_path / "log")
     specs = [little.Spec(number=n, log=log) for n in (0, 1, 2, 1, 0)]

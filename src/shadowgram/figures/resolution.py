@@ -118,13 +118,18 @@ def _draw_pitch(axes: Axes, s: np.ndarray, curve: list[Resolution]) -> None:
     for regime in dict.fromkeys(r.regime for r in curve):
         there = [p for p, r in zip(s, curve, strict=True) if r.regime == regime and p > 0]
         if there and there[-1] - there[0] > 0.2 * s[-1]:
-            axes.text((there[0] + there[-1]) / 2, 0.05 * max(pitch), regime, ha="center", va="bottom", fontsize=8)
+            last = there[-1] == s[-1]
+            axes.text(
+                there[-1] if last else there[0], 0.05 * max(pitch), regime, ha="right" if last else "left", va="bottom",
+                fontsize=8, bbox={"facecolor": axes.figure.get_facecolor(), "edgecolor": "none", "pad": 1.0},
+            )  # fmt: skip
 
 
 def _draw_light(axes: Axes, s: np.ndarray, curve: list[Resolution]) -> None:
     worst = [float(r.throughput.min()) for r in curve]
     axes.plot(s, [r.mean_throughput for r in curve], color="C3", label="mean of the bands")
-    axes.plot(s, worst, color="C3", linewidth=1.0, linestyle="--", label="worst band")
+    if min(worst) < min(r.mean_throughput for r in curve) - 1e-3:
+        axes.plot(s, worst, color="C3", linewidth=1.0, linestyle="--", label="worst band")
     low = max(0.0, math.floor(10 * min(worst)) / 10 - 0.2)
     axes.set(title="Light that meets the mask", ylabel="throughput", ylim=(low, 1 + 0.13 * (1 - low)))
     axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
