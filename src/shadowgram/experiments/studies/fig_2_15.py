@@ -5,7 +5,8 @@ colored CASSI; spatial quality in a zoom, and spectra that all but CASSI reconst
 
 Here every imager measures twice: with the model that reconstructs (the SSCSI with edge shear), as in the source, and with eight
 fine bands a band, each where the optics put it; then every imager reconstructs with its exact model (the CASSIs with the
-higher-order one, and at three shots with that of first order too). Both solvers reconstruct: GPSR with τ searched against the truth as in the source, and EigenTV.
+higher-order one, and at three shots with that of first order too). Both solvers reconstruct: GPSR with τ searched against the truth
+as in the source, and EigenTV.
 """
 
 from __future__ import annotations
