@@ -191,7 +191,8 @@ def test_table_of_claims(studies, tmp_path, capsys):
     run(capsys, "study list --markdown claims.md")
     lines = (tmp_path / "claims.md").read_text().splitlines()
     anchor = "[first](#first-norms-of-random-matrices)"
-    assert lines[4:9] == [
+    table = lines.index("| study | page | the source says | chart | lego, quick |")
+    assert lines[table : table + 5] == [
         "| study | page | the source says | chart | lego, quick |",
         "| --- | --- | --- | --- | --- |",
         f"| {anchor} | 33 | The norm is positive | yes | no |",

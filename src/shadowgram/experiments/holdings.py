@@ -172,6 +172,9 @@ def page(
         "# What the source says, and what was found",
         "",
         f"Computed by `shadowgram study run all`, with `--scene FILE` for recorded scenes; written by `{command}`.",
+        "The pages are those of E. E. Salazar, *Code aperture imaging from the visible to X-ray*, University of Delaware, 2022.",
+        "Empty cells: the study does not use a scene, and was run once. Further down, every study with its figure, the numbers,",
+        "and questions that the source does not ask.",
         "",
     ]
     lines += [_row(["study", "page", "the source says", *labels]), _row(["---"] * (3 + len(labels)))]

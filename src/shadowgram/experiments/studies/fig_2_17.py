@@ -202,7 +202,7 @@ def claims(records: Sequence[Record]) -> list[Claim]:
         best, native = common.chosen(records, camera=SUPER, way=way)[-1], common.only(records, camera=NATIVE, way=way)
         for solver, name in SOLVERS.items():
             a, b = best.values[solver], native.values[solver]
-            gains[way, solver] = a["detail"] - b["detail"]
+            gains[way, solver] = a["psnr_fine"] - b["psnr_fine"] if a["detail"] > b["detail"] else 0.0
             found.append(
                 f"{name}, {way}: {a['detail']:.2f} and {b['detail']:.2f}, {a['psnr_fine']:.1f} and {b['psnr_fine']:.1f} dB"
             )
@@ -219,7 +219,8 @@ def claims(records: Sequence[Record]) -> list[Claim]:
             page=31, says="the super-resolved cube shows spatial detail that the native reconstruction lacks (CR = 0.68)",
             found="correlation with the detail below a detector element, super-resolved and native, and PSNR on the fine grid: "
             + "; ".join(found),
-            agrees=min(gains.values()) > 0.1,
+            agrees=min(gains.values()) > 1,
+            why="agrees where it correlates better and gains more than 1 dB, in all four cases",
         ),
         Claim(
             page=31, says="PSNR of the super-resolved cube over CR (Fig. 2.18)",
