@@ -18,6 +18,7 @@ import numpy as np
 from . import noise as _noise
 from .codes.patterns import check_code
 from .operators.base import LinearOperator
+from .spectral._checks import shortened
 from .spectral._geometry import interval_means
 from .spectral.calibration import CalibratedImager
 from .spectral.cassi import CASSI, DualCASSI
@@ -364,7 +365,7 @@ def imager_from_json(text: str) -> Imager:
     name = fields.pop("type", None)
     known = {kind.__name__: kind for kind in IMAGERS}
     if not isinstance(name, str) or name not in known:
-        raise ValueError(f"the imager must be one of {', '.join(known)}, got {_shortened(name)}")
+        raise ValueError(f"the imager must be one of {', '.join(known)}, got {shortened(name)}")
     return _from_fields(known[name], fields)
 
 
@@ -384,7 +385,7 @@ def _from_fields(kind: type[Spec], fields: dict[str, object]) -> Spec:
 
     names = {field.name for field in dataclasses.fields(kind)}  # type: ignore[arg-type]  # callers give a dataclass
     if unknown := set(fields) - names:
-        raise ValueError(f"{kind.__name__} has no parameter {_shortened(min(unknown))}")
+        raise ValueError(f"{kind.__name__} has no parameter {shortened(min(unknown))}")
     try:
         # By way of JSON, where a list is a tuple even in strict mode.
         return TypeAdapter(kind).validate_json(json.dumps(fields), strict=True)
@@ -400,11 +401,6 @@ def _text(attributes: dict[str, object], name: str) -> str:
     if not isinstance(value, str):
         raise ValueError(f"its {name} is not text")
     return value
-
-
-def _shortened(value: object) -> str:
-    shown = repr(value)
-    return shown if len(shown) <= 60 else shown[:57] + "..."
 
 
 def _check_finite(values: np.ndarray, what: str) -> None:

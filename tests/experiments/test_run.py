@@ -327,9 +327,8 @@ def test_a_cluster_that_is_running(little, tmp_path):
     from distributed import LocalCluster
 
     study = little.make_study([little.Spec(number=n) for n in range(5)])
-    with LocalCluster(
-        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None, protocol="tcp"
-    ) as cluster:
+    # A worker in a process of its own, as on a real cluster: in this one it would share locks with the tests.
+    with LocalCluster(n_workers=1, threads_per_worker=2, processes=True, dashboard_address=None) as cluster:
         executor = dask_run.Cluster(cluster.scheduler_address)
         with executor:
             assert executor.slots() == 2

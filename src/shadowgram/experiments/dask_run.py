@@ -14,6 +14,7 @@ import shutil
 import signal
 import tempfile
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
@@ -45,7 +46,7 @@ SETTINGS: dict[str, Any] = {
 }
 
 
-class _Dask:
+class _Dask(ABC):
     """What both executors have in common: tasks become futures of a client."""
 
     def __init__(self) -> None:
@@ -60,11 +61,11 @@ class _Dask:
         self._futures.clear()
         self._stack.close()
 
-    def _connect(self) -> Client:
-        raise NotImplementedError
+    @abstractmethod
+    def _connect(self) -> Client: ...
 
-    def slots(self) -> int:
-        raise NotImplementedError
+    @abstractmethod
+    def slots(self) -> int: ...
 
     def submit(self, task: Task, report: Report) -> None:
         """Compute a task in a worker."""

@@ -16,6 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from ._checks import shortened
 from ._geometry import ROUNDING, share_below
 
 SHEARS = ("centre", "exact")
@@ -153,7 +154,7 @@ def check_band_shift(band_shift: object) -> float:
         or not 0 < band_shift <= MOST
     ):
         raise ValueError(
-            f"band_shift must be a positive number of pixels a band, at most {MOST}, got {_shortened(band_shift)}"
+            f"band_shift must be a positive number of pixels a band, at most {MOST}, got {shortened(band_shift)}"
         )
     return int(band_shift) if isinstance(band_shift, int | np.integer) else float(band_shift)
 
@@ -191,20 +192,15 @@ def check_curve(curve: object, wavelengths: tuple[float, float]) -> Curve:
 def _pairs(curve: object) -> Curve:
     wanted = "dispersion must be at least two pairs (wavelength nm, displacement px) of finite numbers"
     if not isinstance(curve, Sequence | np.ndarray) or len(curve) < 2:
-        raise ValueError(f"{wanted}, got {_shortened(curve)}")
+        raise ValueError(f"{wanted}, got {shortened(curve)}")
     try:
         points = tuple((float(nm), float(px)) for nm, px in curve)
     except (TypeError, ValueError):
-        raise ValueError(f"{wanted}, got {_shortened(curve)}") from None
+        raise ValueError(f"{wanted}, got {shortened(curve)}") from None
     for point in points:
         if not all(map(math.isfinite, point)):
             raise ValueError(f"{wanted}, got {point}")
     return points
-
-
-def _shortened(value: object) -> str:
-    shown = " ".join(repr(value).split())
-    return shown if len(shown) <= 60 else shown[:57] + "..."
 
 
 def check_span(dispersion: Dispersion) -> None:

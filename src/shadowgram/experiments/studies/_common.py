@@ -25,6 +25,9 @@ PITCH = 10.0  # µm, of the detectors of the simulations; only its ratio to the 
 SAME, CONTINUOUS = "same", "continuous"
 """How a study measures: with the model that reconstructs, as the source did, or with a finely resolved scene."""
 
+SOLVERS = {"gpsr": "GPSR", "eigen-tv": "EigenTV"}
+"""What reconstructs, as the specifications and the titles have it."""
+
 # Relative weights that GPSR tries, as in the source "the value of τ was chosen such that an optimal PSNR is reached".
 TAUS = (1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6)
 
@@ -38,12 +41,14 @@ def fine_cube(scene: SceneSource, bands: int, size: tuple[int, int]) -> np.ndarr
 
 
 def stored_operator(imager: SSCSI, code: np.ndarray) -> LinearOperator:
-    """Detector-limited SSCSI through its stored effective code.
+    """SSCSI with Δc = Δd through its stored effective code, the mask on the detector included.
 
     Several times faster than `imager.operator` where bands do not move by whole columns, for Q times the memory of the cube.
     """
     from shadowgram.spectral._shift_operators import ColoredOperator
 
+    if imager.mask_position == 0:  # the border of the regimes, where all bands see the code itself
+        return ColoredOperator(np.repeat(code[:, None], imager.resolution.bands, axis=1).astype(np.float32), 0)
     return ColoredOperator(imager.effective_code(code).astype(np.float32), 0)
 
 

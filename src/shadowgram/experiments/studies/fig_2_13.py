@@ -31,7 +31,7 @@ from shadowgram.spectral.resolution import SUPER_RESOLVING
 from shadowgram.spectral.sscsi import SHEARS, SSCSI
 
 from . import _common as common
-from ._common import CONTINUOUS, SAME
+from ._common import CONTINUOUS, SAME, SOLVERS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,8 +40,6 @@ if TYPE_CHECKING:
 
 MAP, QUALITY, TIME = "map", "quality", "time"
 SAMPLES = 24  # of the maps, an element and a band
-SOLVERS = ("gpsr", "eigen-tv")
-NAMES = {"gpsr": "GPSR", "eigen-tv": "EigenTV"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -266,7 +264,7 @@ def _curves(records: Sequence[Record]) -> list[Curves]:
             curves[name] = Curve(x=list(psnr), y=list(psnr.values()), colour=number, dash=1 if way == SAME else 0)
         panels.append(
             Curves(
-                title=f"finely resolved scene, {NAMES[solver]}", xlabel="mask position s", ylabel="PSNR (dB)", curves=curves
+                title=f"finely resolved scene, {SOLVERS[solver]}", xlabel="mask position s", ylabel="PSNR (dB)", curves=curves
             )
         )  # fmt: skip
     off = {}
@@ -323,7 +321,7 @@ def _first_order(records: Sequence[Record]) -> Claim:
     for solver in SOLVERS:
         edge, centre, exact = (_psnr(records, solver, CONTINUOUS, shear) for shear in ("edge", "centre", "exact"))
         rows = (f"s = {s:.3g}: {edge[s]:.1f} / {centre[s]:.1f} / {exact[s]:.1f}" for s in edge)
-        parts.append(f"{NAMES[solver]} " + ", ".join(rows))
+        parts.append(f"{SOLVERS[solver]} " + ", ".join(rows))
     quality = common.chosen(common.chosen(records, part=QUALITY), way=CONTINUOUS)
     errors = {shear: np.mean([r.values["code_error"] for r in quality if r.spec["shear"] == shear]) for shear in SHEARS}
     times = common.only(records, part=TIME).values["milliseconds"]
@@ -351,7 +349,7 @@ def _hidden(records: Sequence[Record]) -> Claim:
     return Claim(
         page=None, says="how much does a simulation hide that measures and reconstructs with the same model, as section 2.4?",
         found="of the PSNR that the edge model reaches on its own measurements it loses"
-        f" {least[0]:.1f} ({NAMES[least[1]]}, s = {least[2]:.3g}) to {worst[0]:.1f} dB ({NAMES[worst[1]]}, s = {worst[2]:.3g})"
+        f" {least[0]:.1f} ({SOLVERS[least[1]]}, s = {least[2]:.3g}) to {worst[0]:.1f} dB ({SOLVERS[worst[1]]}, s = {worst[2]:.3g})"
         " on a finely resolved scene",
         agrees=None,
     )  # fmt: skip

@@ -26,12 +26,11 @@ from shadowgram.spectral.colored import ColoredCASSI
 from shadowgram.spectral.sscsi import SSCSI
 
 from . import _common as common
-from ._common import CONTINUOUS, SAME
+from ._common import CONTINUOUS, SAME, SOLVERS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SOLVERS = {"gpsr": "GPSR", "eigen-tv": "EigenTV"}
 NAMES = {
     "sscsi": "SSCSI",
     "colored-ideal": "colored CASSI, ideal",

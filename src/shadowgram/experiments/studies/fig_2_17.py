@@ -22,13 +22,12 @@ from shadowgram.experiments.study import Claim, Record, Result, Study
 from shadowgram.spectral.sscsi import SSCSI
 
 from . import _common as common
-from ._common import CONTINUOUS, SAME
+from ._common import CONTINUOUS, SAME, SOLVERS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SUPER, NATIVE = "super-resolved", "native"
-SOLVERS = {"gpsr": "GPSR", "eigen-tv": "EigenTV"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

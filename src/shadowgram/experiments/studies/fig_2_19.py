@@ -24,12 +24,11 @@ from shadowgram.experiments.study import Claim, Record, Result, Study
 from shadowgram.spectral.sscsi import SSCSI
 
 from . import _common as common
-from ._common import CONTINUOUS, SAME
+from ._common import CONTINUOUS, SAME, SOLVERS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SOLVERS = {"gpsr": "GPSR", "eigen-tv": "EigenTV"}
 COMPRESSION = 0.2
 # Of the range: place and width (FWHM) of each peak, and its height.
 PEAKS = (

@@ -13,23 +13,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from shadowgram import codes
 from shadowgram.experiments.source import SceneSource
 from shadowgram.experiments.study import Claim, Record, Result, Study
 from shadowgram.spectral.sscsi import SSCSI
 
 from . import _common as common
-from ._common import CONTINUOUS, SAME
+from ._common import CONTINUOUS, SAME, SOLVERS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from shadowgram.operators import LinearOperator
-
 STATED_OPTIMUM = 0.02
-SOLVERS = {"gpsr": "GPSR", "eigen-tv": "EigenTV"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,14 +55,6 @@ def specs(_scene: SceneSource, quick: bool) -> list[Spec]:
     ]  # fmt: skip
 
 
-def _operator(imager: SSCSI, code: np.ndarray) -> LinearOperator:
-    from shadowgram.spectral._shift_operators import ColoredOperator
-
-    if imager.mask_position == 0:  # the border of the regimes, where all bands see the code itself
-        return ColoredOperator(np.repeat(code[:, None], imager.resolution.bands, axis=1).astype(np.float32), 0)
-    return common.stored_operator(imager, code)
-
-
 def run(spec: Spec, scene: SceneSource) -> Result:
     """Measure and reconstruct with both solvers."""
     imager = SSCSI(
@@ -76,7 +63,7 @@ def run(spec: Spec, scene: SceneSource) -> Result:
         shear="edge" if spec.way == SAME else "exact",
     )  # fmt: skip
     code = codes.boolean(shots=spec.shots, shape=imager.code_shape, seed=spec.seed)
-    H = _operator(imager, code)
+    H = common.stored_operator(imager, code)
     fine = common.fine_cube(scene, spec.bands * spec.sub_bands, (spec.size, spec.size))
     y, truth = common.measure_fine(imager, code, fine)
     if spec.way == SAME:
