@@ -20,7 +20,7 @@ MAY_IMPORT = {
     "scenes": {"_threads"},
     "operators": {"_threads"},
     "testing": {"operators"},
-    "codes": set(),
+    "codes": {"_threads", "scenes"},  # of scenes, how a file is written whole or not at all
     "spectral": {"_threads", "codes", "operators"},
     "priors": {"_threads"},
     "solvers": {"_threads", "operators", "priors"},

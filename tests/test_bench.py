@@ -133,10 +133,10 @@ def test_peak_memory_counts_more_than_the_result():
 
 def test_run_and_table():
     steps = []
-    results = run.run(TINY, ("operators", "basis", "iteration", "reconstruction"), None, steps.append)
-    assert steps == ["machine", "operators", "basis", "iteration", "reconstruction"]
+    results = run.run(TINY, ("operators", "basis", "iteration", "reconstruction", "codes"), None, steps.append)
+    assert steps == ["machine", "operators", "basis", "iteration", "reconstruction", "codes"]
     cases = [record["case"] for record in results.cases]
-    assert len(cases) == len(set(cases)) == 17
+    assert len(cases) == len(set(cases)) == 19
     assert set(peers.CASES) <= set(cases)
     text = "\n".join(table.lines(results))
     assert all(case in text for case in cases)

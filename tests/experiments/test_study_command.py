@@ -206,6 +206,29 @@ def test_table_of_claims(studies, tmp_path, capsys):
     assert (tmp_path / "first.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_studies_of_a_chapter(studies, tmp_path, capsys):
+    studies["second"] = dataclasses.replace(studies["second"], name="second-study", source="Table 3.1, pages 56 and 57")
+    studies["first"] = dataclasses.replace(studies["first"], source="Figs. 2.20 and 3.1, page 33")
+    assert run(capsys, "study list --chapter 3").out == (
+        "second-study Norms of random matrices (Table 3.1, pages 56 and 57)\n"
+    )
+    for name in studies:
+        run(capsys, f"study run {name} --quick")
+    run(capsys, "study list --chapter 2 --markdown claims.md")
+    page = (tmp_path / "claims.md").read_text()
+    assert "written by `shadowgram study list --chapter 2 --markdown claims.md`" in page
+    assert "## first:" in page
+    assert "second" not in page
+    assert "there is no study of chapter 5; there are of 2, 3" in refused(capsys, "study list --chapter 5")
+
+
+def test_chapter_of_a_study(little):
+    def chapter(source):
+        return dataclasses.replace(little.make_study([]), source=source).chapter
+
+    assert [chapter(source) for source in ("Fig. 2.4, page 15", "Section 3.6.5", "pages 3 and 4")] == [2, 3, None]
+
+
 def test_bad_input(studies, tmp_path, capsys):
     assert "there is no study 'third'; there are first, second" in refused(capsys, "study run third")
     assert "there is no study 'all'" in refused(capsys, "study show all")

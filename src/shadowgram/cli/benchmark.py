@@ -19,6 +19,7 @@ class Group(StrEnum):
     basis = "basis"
     iteration = "iteration"
     reconstruction = "reconstruction"
+    codes = "codes"
     scaling = "scaling"
     threads = "threads"
     memory = "memory"

@@ -43,25 +43,27 @@ def list_studies(
     markdown: Annotated[
         Path | None, typer.Option(help="File for a page of all claims, .md; the figures go beside it.")
     ] = None,
+    chapter: Annotated[
+        int | None, typer.Option(help="Chapter of the source; by default all of them.", show_default=False)
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """List the studies, what the journal has of them, and whether it agrees with the source.
 
     Example: shadowgram study list --claims
     """
-    from shadowgram.experiments import studies
-
     if markdown is not None:
         output.check_output(markdown, (".md",))
-    found = _held([studies.load(name) for name in studies.STUDIES], out)
+    found = _held(_of_chapter(chapter), out)
+    width = max(11, *(len(study.name) + 1 for study, _ in found))
     lines = []
     for study, held in found:
-        lines += [f"{study.name:<11}{study.title} ({study.source})"]
+        lines += [f"{study.name:<{width}}{study.title} ({study.source})"]
         for holding in held:
             lines.append(f"{'':<11}{_state(holding)}")
             lines += [f"{'':<13}{line}" for line in _claim_lines(holding.claims)] if claims else []
     if markdown is not None:
-        _write_page(markdown, found, out)
+        _write_page(markdown, found, out, chapter)
     values = [
         {"name": study.name, "title": study.title, "source": study.source, "revision": study.revision}
         | {"holdings": [_holding_values(holding) for holding in held]}
@@ -70,11 +72,28 @@ def list_studies(
     output.report({"studies": values}, lines, as_json)
 
 
-def _write_page(markdown: Path, found: Sequence[tuple[Study, Sequence[Holding]]], out: Path) -> None:
+def _of_chapter(chapter: int | None) -> list[Study]:
+    """The studies of a chapter, or all of them."""
+    from shadowgram.experiments import studies
+
+    known = [studies.load(name) for name in studies.STUDIES]
+    if chapter is None:
+        return known
+    chosen = [study for study in known if study.chapter == chapter]
+    if not chosen:
+        there = sorted({study.chapter for study in known if study.chapter is not None})
+        raise ValueError(f"there is no study of chapter {chapter}; there are of {', '.join(map(str, there))}")
+    return chosen
+
+
+def _write_page(
+    markdown: Path, found: Sequence[tuple[Study, Sequence[Holding]]], out: Path, chapter: int | None
+) -> None:
     from shadowgram.experiments import holdings
     from shadowgram.experiments.journal import read_journal
 
-    text, figures = holdings.page(found, f"shadowgram study list --markdown {markdown.name}")
+    chosen = "" if chapter is None else f" --chapter {chapter}"
+    text, figures = holdings.page(found, f"shadowgram study list{chosen} --markdown {markdown.name}")
     if figures:
         with read_journal(out) as journal:
             for name, (study, held) in figures.items():

@@ -1,4 +1,4 @@
-"""Coded apertures: random, complementary and colored patterns, all seeded, uint8, (shot, y, x)."""
+"""Coded apertures, uint8, (shot, y, x): patterns, classical families, designs for an imager, statistics, and mask files."""
 
 import lazy_loader as _lazy
 

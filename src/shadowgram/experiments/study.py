@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -92,6 +93,19 @@ class Study:
     run: Callable[[Any, SceneSource], Result]
     figure: Callable[[Sequence[Record]], Figure]
     claims: Callable[[Sequence[Record]], Sequence[Claim]]
+
+    @property
+    def chapter(self) -> int | None:
+        """Chapter of the first figure, table or section that `source` names; None if it names none by a number such as 2.15.
+
+        Examples
+        --------
+        >>> from shadowgram.experiments.studies import load
+        >>> load("fig-2-20").source, load("fig-2-20").chapter
+        ('Figs. 2.20 and 2.21, pages 33 and 34', 2)
+        """
+        found = re.search(r"(\d+)\.\d", self.source)
+        return int(found[1]) if found else None
 
 
 def spec_fields(spec: object) -> dict[str, Value]:

@@ -1,6 +1,8 @@
 """Pictures and the report; the only part that imports matplotlib.
 
 - `style`: colours, fonts, and how a figure becomes PNG bytes, on light or dark paper.
+- `codes`: patterns, spectra and statistics of a code, and of its sensing matrix.
+- `masks`: codes as pictures at their physical size, and frames of a micromirror device.
 - `images`: cubes in true colour with a zoom, codes, snapshots.
 - `lines`: spectra and quality over the bands.
 - `resolution`: what an SSCSI resolves over the position of its mask.

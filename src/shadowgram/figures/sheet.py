@@ -28,6 +28,7 @@ class Curve:
     colour : number of the colour; lines of one kind share it.
     dash : number of the line style, and whether it has markers: 0 is drawn through with markers.
     reference : drawn broad and pale, below the others: the truth.
+    spread : (n,) half width of a shaded band about the line, such as a standard deviation.
     """
 
     x: np.ndarray | Sequence[float]
@@ -35,6 +36,7 @@ class Curve:
     colour: int = 0
     dash: int = 0
     reference: bool = False
+    spread: np.ndarray | Sequence[float] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,6 +166,9 @@ def _draw_curves(axes: Axes, panel: Curves) -> None:
         marker = MARKERS[curve.colour % len(MARKERS)] if curve.dash == 0 else ""
         dash = LINE_STYLES[curve.dash % len(LINE_STYLES)]
         axes.plot(curve.x, curve.y, color=f"C{curve.colour % 6}", linestyle=dash, marker=marker, label=label)
+        if curve.spread is not None:
+            low, high = np.subtract(curve.y, curve.spread), np.add(curve.y, curve.spread)
+            axes.fill_between(curve.x, low, high, color=f"C{curve.colour % 6}", alpha=0.18, linewidth=0)
     axes.set(title=panel.title, xlabel=panel.xlabel, ylabel=panel.ylabel)
     if "x" in panel.log:
         axes.set_xscale("log")

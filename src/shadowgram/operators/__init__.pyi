@@ -3,6 +3,12 @@ from .adapters import as_scipy as as_scipy
 from .base import Adjoint as Adjoint
 from .base import Compose as Compose
 from .base import LinearOperator as LinearOperator
+from .sensing import coherence as coherence
+from .sensing import gram_deviation as gram_deviation
+from .sensing import isometry as isometry
+from .sensing import pixel_groups as pixel_groups
+from .sensing import sensed as sensed
+from .sensing import singular_values as singular_values
 from .structure import norm as norm
 from .structure import shot_gram as shot_gram
 from .transforms import basis as basis

@@ -25,6 +25,7 @@ from ._disperser import Disperser
 from ._dispersion import smeared_code
 
 if TYPE_CHECKING:
+    from shadowgram.codes._pairs import PairTable
     from shadowgram.operators.base import LinearOperator
 
 
@@ -83,6 +84,12 @@ class CASSI(Disperser):
         code = check_code(code, self.code_shape)
         return np.repeat(code[:, None], self.cube_shape[0], axis=1).astype(np.float64)
 
+    def pair_table(self) -> PairTable:
+        """What the voxels of a row see of the code, for `shadowgram.codes.design`."""
+        from ._dispersed_pairs import code_pairs
+
+        return code_pairs(self._dispersion, self.code_shape, self.cube_shape[0])
+
     def operator(self, code: np.ndarray) -> LinearOperator:
         """Forward model with `code` (shot, y, x): datacube (band, y, x) → snapshots (shot, y, x + last displacement)."""
         from ._shift_operators import DispersedOperator, ShiftOperator
@@ -120,6 +127,21 @@ class DualCASSI(Disperser):
         code = check_code(code, self.code_shape)
         bands, _, nx = self.cube_shape
         return np.stack([smeared_code(code, self._dispersion.footprints, k, nx) for k in range(bands)], axis=1)
+
+    def pair_table(self) -> PairTable:
+        """What the voxels of a row see of the code, for `shadowgram.codes.design`.
+
+        Raises
+        ------
+        ValueError
+            If a voxel sees more than three code columns.
+        """
+        from shadowgram.codes._pairs import pair_table
+
+        prints, columns = self._dispersion.footprints, np.arange(self.cube_shape[2])
+        first = prints.first[:, None] + columns
+        weights = np.broadcast_to(prints.weights.T[:, :, None], (prints.weights.shape[1], *first.shape))
+        return pair_table(first, weights, columns, columns, 1, self.code_shape)
 
     def operator(self, code: np.ndarray) -> LinearOperator:
         """Forward model with `code` (shot, y, x): datacube (band, y, x) → snapshots (shot, y, x)."""

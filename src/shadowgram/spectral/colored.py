@@ -16,6 +16,7 @@ from shadowgram.codes.patterns import check_code
 from ._disperser import Disperser
 
 if TYPE_CHECKING:
+    from shadowgram.codes._colored_board import VoxelPairs
     from shadowgram.operators.base import LinearOperator
 
 
@@ -40,6 +41,12 @@ class ColoredCASSI(Disperser):
     def effective_code(self, code: np.ndarray) -> np.ndarray:
         """Transmittance that each voxel sees, (shot, band, y, x)."""
         return check_code(code, self.code_shape).astype(np.float64)
+
+    def voxel_pairs(self) -> VoxelPairs:
+        """Voxels of a row that share detector elements, for `shadowgram.codes.design`."""
+        from ._dispersed_pairs import voxel_pairs
+
+        return voxel_pairs(self._dispersion, self.cube_shape)
 
     def operator(self, code: np.ndarray) -> LinearOperator:
         """Forward model with `code` (shot, band, y, x): datacube → snapshots (shot, y, x + last displacement)."""

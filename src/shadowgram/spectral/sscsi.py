@@ -31,6 +31,8 @@ from ._checks import check_choice, check_count, check_pitch, check_shape, check_
 from .resolution import DETECTOR_LIMITED, SUPER_RESOLVING, Resolution
 
 if TYPE_CHECKING:
+    from shadowgram.codes._pairs import PairTable
+
     from ._sscsi_operator import SSCSIOperator
 
 SHEARS = ("exact", "centre", "edge")
@@ -225,6 +227,28 @@ class SSCSI:
             column = np.clip(self._table.first + j + 1, 0, padded.shape[2] - 1)
             effective += self._table.weights[j][:, None] * padded[:, :, column].transpose(0, 2, 1, 3)
         return effective
+
+    def pair_table(self) -> PairTable:
+        """What the voxels of a row see of the code, for `shadowgram.codes.design`.
+
+        Raises
+        ------
+        ValueError
+            If a voxel sees more than three code columns.
+        """
+        from shadowgram.codes._pairs import pair_table
+
+        table, bands = self._table, self.resolution.bands
+        weights = np.broadcast_to(table.weights, (len(table.weights), bands, len(self._pieces.start)))
+        first = np.broadcast_to(table.first, weights.shape[1:])
+        return pair_table(
+            first.astype(np.int64),
+            weights,
+            self._pieces.voxel,
+            self._pieces.detector,
+            self.pitch_ratio,
+            self.code_shape,
+        )
 
     def operator(self, code: np.ndarray) -> SSCSIOperator:
         """Forward model of this imager with `code`: datacube (band, y, x) → snapshots (shot, y, x).

@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from importlib import metadata
 
+from . import codes, memory, operators, peers, scaling, solvers
 from . import machine as machines
-from . import memory, operators, peers, scaling, solvers
 from .machine import Machine
 from .spec import BenchSpec, Row
 from .timing import limited_threads
 
-GROUPS = ("operators", "basis", "iteration", "reconstruction", "scaling", "threads", "memory")
+GROUPS = ("operators", "basis", "iteration", "reconstruction", "codes", "scaling", "threads", "memory")
 LIBRARIES = ("shadowgram", "numpy", "numba", "scipy", "pywavelets")
 
 
@@ -90,6 +90,7 @@ def _run_group(name: str, results: Results, rows: dict[str, Row]) -> None:
             "basis": operators.basis_cases,
             "iteration": solvers.iteration_case,
             "reconstruction": solvers.reconstruction_cases,
+            "codes": codes.design_cases,
         }[name]
         for row in cases(spec, limits):
             rows[row.case] = row

@@ -1,4 +1,4 @@
-"""The studies, each a module: a figure or table of chapter 2, made again.
+"""The studies, each a module: a figure or table of chapters 2 and 3, made again.
 
 Every module says in its docstring what it reproduces, and defines `STUDY` (`shadowgram.experiments.study.Study`).
 """
@@ -23,6 +23,16 @@ STUDIES = (
     "fig-2-20",
     "table-2-4",
     "fig-2-24",
+    "fig-3-1",
+    "fig-3-5",
+    "fig-3-7",
+    "table-3-1",
+    "fig-3-12",
+    "fig-3-13",
+    "fig-3-14",
+    "codes-c1",
+    "codes-better",
+    "codes-light",
 )
 
 
