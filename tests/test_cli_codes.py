@@ -229,7 +229,7 @@ def test_interrupted_design_goes_on_as_if_it_never_was(folder, capsys, monkeypat
     whole, kept = (folder / "code.nc").read_bytes(), (folder / "code.json").read_bytes()
     for file in names():
         Path(file).unlink()
-    engine = sys.modules["shadowgram.codes.design"]
+    engine = sys.modules["shadowgram.codes._design"]
     design, once = engine.design, iter([True])
 
     def interrupted(*arguments, callback=None, **given):
@@ -262,7 +262,7 @@ def test_interrupt_before_the_first_sweep_leaves_nothing(folder, capsys, monkeyp
         time.sleep(0.3)
         raise AssertionError("the main thread has ended by now")
 
-    monkeypatch.setattr(sys.modules["shadowgram.codes.design"], "design", interrupted)
+    monkeypatch.setattr(sys.modules["shadowgram.codes._design"], "design", interrupted)
     assert main(f"codes design -o code.nc {SMALL}".split()) == 130
     assert capsys.readouterr().err == "shadowgram: interrupted; no file is half written\n"
     assert names() == []

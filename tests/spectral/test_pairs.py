@@ -142,5 +142,5 @@ def test_voxel_pairs_are_those_of_the_dispersion(shape, law):
     ids=str,
 )
 def test_windows_too_wide(imager, columns):
-    with pytest.raises(ValueError, match=f"a voxel sees {columns} code columns at once and .* at most 3"):
+    with pytest.raises(ValueError, match=f"a voxel sees {columns} code columns at once, and .* at most 3"):
         imager.pair_table()

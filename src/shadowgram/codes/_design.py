@@ -182,7 +182,11 @@ def design(
 
     Notes
     -----
-    Source: Salazar (2022), Algorithm 1 and eq. (3.17); the evaluation by tables and the coupling are ours.
+    Which to take, by the studies "fig-3-5", "codes-better" and "codes-light": the defaults for GPSR and for many bands a shot; a
+    `coupling` of 1, and the imager's exact shear, for `EigenTV`; a `transmittance` of 3/8 to 1/2 where the read noise of the camera
+    decides, and random codes there if the shots outnumber the bands.
+
+    Source: Salazar (2022), Algorithm 1 and eq. (3.17); the evaluation by tables, the coupling and the budgets are ours.
 
     Examples
     --------

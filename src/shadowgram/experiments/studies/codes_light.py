@@ -113,22 +113,25 @@ def figure(records: Sequence[Record]) -> Figure:
     from shadowgram.figures.sheet import Curve, Curves, sheet
 
     places = _places(records)
+    marks = {float(n): f"{bands}|{q}" for n, (bands, q) in enumerate(places)}
     rows = []
     for level in LEVELS:
         row = []
         for solver, text in common.SOLVERS.items():
-            curves = {}
+            curves, named = {}, not rows and not row
             for number, (kind, name) in enumerate(KINDS.items()):
                 gains = list(_gains(records, kind, "boolean", solver, level).values())
-                curves[name] = Curve(
+                curves[name if named else f"_{name}"] = Curve(
                     x=list(range(len(places))), y=[one.mean for one in gains], colour=number,
                     spread=[one.error for one in gains],
                 )  # fmt: skip
+            low, high = (choose(y for curve in curves.values() for y in curve.y) for choose in (min, max))
             row.append(
                 Curves(
                     title=f"{text}, read noise of {level} for a Boolean code of 4 shots",
-                    xlabel="setting: " + ", ".join(f"{n} = {bands}|{q}" for n, (bands, q) in enumerate(places)) + " (L|Q)",
-                    ylabel="gain over Boolean (dB)", curves=curves,
+                    xlabel="setting, bands | shots",
+                    ylabel="gain over Boolean (dB)", curves=curves, marks=marks, bottom=low - 0.1 * (high - low),
+                    top=high + (1.2 if named else 0.2) * (high - low),
                 )
             )  # fmt: skip
         rows.append(row)
