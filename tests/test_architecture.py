@@ -24,14 +24,22 @@ MAY_IMPORT = {
     "spectral": {"_threads", "codes", "operators"},
     "priors": {"_threads"},
     "solvers": {"_threads", "operators", "priors"},
+    "xray": {"_threads", "codes", "noise", "operators", "scenes"},
     "measurement": {"codes", "noise", "operators", "scenes", "spectral"},
-    "figures": {"scenes", "spectral", "codes"},
+    "figures": {"scenes", "spectral", "codes", "xray"},
     "experiments": {"*"},
     "cli": {"*"},
     "__init__": {"*"},
     "__main__": {"cli"},
 }
-PACKAGES = ("shadowgram", "shadowgram.scenes", "shadowgram.codes", "shadowgram.operators", "shadowgram.spectral")
+PACKAGES = (
+    "shadowgram",
+    "shadowgram.scenes",
+    "shadowgram.codes",
+    "shadowgram.operators",
+    "shadowgram.spectral",
+    "shadowgram.xray",
+)
 # Loaded when used, never by `import shadowgram`.
 HEAVY = {
     "numba",
@@ -49,6 +57,9 @@ HEAVY = {
     "distributed",
     "dask",
     "sqlite3",
+    "spekpy",
+    "trimesh",
+    "xraylib",
 }
 
 

@@ -8,6 +8,7 @@ from . import scenes as scenes
 from . import solvers as solvers
 from . import spectral as spectral
 from . import testing as testing
+from . import xray as xray
 from ._threads import threads as threads
 from .operators.base import LinearOperator as LinearOperator
 from .solvers.eigen_tv import EigenTV as EigenTV
