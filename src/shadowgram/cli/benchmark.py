@@ -20,6 +20,7 @@ class Group(StrEnum):
     iteration = "iteration"
     reconstruction = "reconstruction"
     codes = "codes"
+    transport = "transport"
     scaling = "scaling"
     threads = "threads"
     memory = "memory"

@@ -1,4 +1,4 @@
-"""The studies, each a module: a figure or table of chapters 2 and 3, made again.
+"""The studies, each a module: a figure or table of chapters 2 to 4, made again.
 
 Every module says in its docstring what it reproduces, and defines `STUDY` (`shadowgram.experiments.study.Study`).
 """
@@ -33,6 +33,8 @@ STUDIES = (
     "codes-c1",
     "codes-better",
     "codes-light",
+    "fig-4-1",
+    "slab-backscatter",
 )
 
 

@@ -86,7 +86,7 @@ def worthwhile(geometry, physics, desk, sent, least):
     """
     home, left = int(sent[HOME]), OPAQUE
     if geometry.role[home] == SHIELD and geometry.alone[home] and is_homely(geometry.kind[home]):
-        _, _, _, left = at_home(geometry, physics, sent, energy_bin(sent[ENERGY]), OPAQUE)
+        _, _, _, left = at_home(geometry, physics, desk, sent, energy_bin(sent[ENERGY]), OPAQUE)
     arriving = sent[WEIGHT] * math.exp(left - OPAQUE)
     if arriving >= least:
         return True

@@ -182,7 +182,7 @@ def advance(geometry, physics, source, detectors, rules, desk, tally, photon, bi
         photon[FREE] = -1.0
         if not survives(photon, desk.stream, rules.least):
             return False
-    if desk.phase.shape[0] > 0 and desk.entry[0] >= 0.0:
+    if desk.phase.shape[0] > 0 and 0.0 <= desk.entry[0] < math.inf:
         note_phase(desk, photon)
     if status == ESCAPED:
         escape(source, rules, tally, photon)
@@ -245,29 +245,14 @@ def read_out(geometry, detectors, rules, desk, tally):
 
 
 @kernel
-def shower(geometry, physics, source, detectors, rules, desk, tally):
-    """Follow the photons of the shower stack, which share a pulse, and read it out; false if a stack was full."""
-    room = True
-    while room and desk.level[0] > 0:
-        desk.level[0] -= 1
-        copy_record(desk.photon, desk.shower[desk.level[0]])
-        room = follow(geometry, physics, source, detectors, rules, desk, tally, desk.photon)
-    read_out(geometry, detectors, rules, desk, tally)
-    return room
-
-
-@kernel
 def force(geometry, physics, rules, desk, photon):
     """Split off "first collision in the target" and "in the air" from a photon's first flight; false if a stack was full.
 
-    Both are put on the stack of pending photons where they collide. The photon itself is there too, with `FORCED` telling how
-    far such a first collision has been taken care of.
+    Both are put on the stack of pending photons where they collide. What is left on the desk is the photon itself, with
+    `FORCED` telling how far such a first collision has been taken care of.
     """
     pieces, looked = pieces_ahead(geometry, physics, desk, photon, energy_bin(photon[ENERGY]))
-    photon[FORCED] = looked
-    room = stack(desk.pending, desk.level, 1, photon)
-    photon[FORCED] = 0.0
-    weight = photon[WEIGHT]
+    weight, room = photon[WEIGHT], True
     for air in range(2):
         photon[WEIGHT] = weight * desk.chance[air]
         if photon[WEIGHT] > 0.0 and survives(photon, desk.stream, rules.least_air if air == 1 else rules.least):
@@ -278,26 +263,32 @@ def force(geometry, physics, rules, desk, photon):
                 put[X + i] += t * photon[U + i]
             put[HOME], put[MATERIAL] = desk.segment_solid[chosen, 0], desk.segment_solid[chosen, 1]
             put[MARKS] = LEAKED if desk.segment_solid[chosen, 2] == 1 else 0.0
+    photon[WEIGHT], photon[FORCED] = weight, looked
     return room
 
 
 @kernel
 def history(geometry, physics, source, detectors, rules, desk, tally):
-    """Follow the source photon on the desk and everything that comes of it; false if a stack was full."""
-    photon = desk.photon
+    """Follow the source photon on the desk and everything that comes of it; false if a stack was full.
+
+    Photons of the shower come before pending ones, and the pulse is read out between two showers.
+    """
+    photon, level = desk.photon, desk.level
     tally.balance[0] += photon[WEIGHT] * photon[ENERGY]
-    desk.level[0], desk.level[1] = 0, 0
-    if rules.reduce == 0:
-        stack(desk.pending, desk.level, 1, photon)
-    elif not force(geometry, physics, rules, desk, photon):
-        return False
-    while desk.level[1] > 0:
-        desk.level[1] -= 1
-        copy_record(desk.shower[0], desk.pending[desk.level[1]])
-        desk.level[0] = 1
-        if not shower(geometry, physics, source, detectors, rules, desk, tally):
-            return False
-    return True
+    level[0], level[1] = 0, 0
+    room = rules.reduce == 0 or force(geometry, physics, rules, desk, photon)
+    while room:
+        room = follow(geometry, physics, source, detectors, rules, desk, tally, photon)
+        if level[0] > 0:
+            level[0] -= 1
+            copy_record(photon, desk.shower[level[0]])
+            continue
+        read_out(geometry, detectors, rules, desk, tally)
+        if level[1] == 0:
+            break
+        level[1] -= 1
+        copy_record(photon, desk.pending[level[1]])
+    return room
 
 
 def _batch(sources):

@@ -7,6 +7,7 @@ with any line of this folder (`SOURCES`).
 
 `_nrt=False`: the kernels allocate nothing, so numba need not count references to all those arrays; counting and calling
 made a history 20 times slower. `error_model="numpy"`: a division by zero gives an infinity instead of a branch.
+`contract`: a multiplication and an addition may become one instruction; not in routines, whose sums are exact on purpose.
 """
 
 import hashlib
@@ -14,12 +15,12 @@ from pathlib import Path
 
 from numba import njit
 
-kernel = njit(nogil=True, _nrt=False, error_model="numpy", forceinline=True)  # pyright: ignore[reportCallIssue]
+kernel = njit(nogil=True, _nrt=False, error_model="numpy", fastmath={"contract"}, forceinline=True)  # pyright: ignore[reportCallIssue]
 routine = njit(cache=True, nogil=True, _nrt=False, error_model="numpy")  # pyright: ignore[reportCallIssue]
 """For kernels that are long, take few arrays and lie with all that they call in one file: called, not inlined, and
 cached on their own.
 """
-entry = njit(cache=True, nogil=True, _nrt=False, error_model="numpy")  # pyright: ignore[reportCallIssue]
+entry = njit(cache=True, nogil=True, _nrt=False, error_model="numpy", fastmath={"contract"})  # pyright: ignore[reportCallIssue]
 
 
 def _stamp() -> int:

@@ -41,13 +41,13 @@ def aim_at_cell(geometry, source, solid, row, column, turn, photon, stream):
     step_x, step_y = masks.step[mask, 0], masks.step[mask, 1]
     x = masks.corner[mask, 0] + (column + uniform(stream)) * step_x - photon[X]
     y = masks.corner[mask, 1] + (row + uniform(stream)) * step_y - photon[Y]
-    z = geometry.box[solid, 2] - photon[Z]
+    z = geometry.box[solid, 2 if photon[Z] < geometry.box[solid, 2] else 5] - photon[Z]
     distance = math.sqrt(x * x + y * y + z * z)
     photon[U], photon[V], photon[W] = x / distance, y / distance, z / distance
     axis = source.axis[2]
     if photon[U] * axis[0] + photon[V] * axis[1] + photon[W] * axis[2] < source.cosine:
         return False
-    photon[WEIGHT] = abs(step_x * step_y) * photon[W] / (distance * distance * 2.0 * math.pi * (1.0 - source.cosine))
+    photon[WEIGHT] = abs(step_x * step_y * photon[W]) / (distance * distance * 2.0 * math.pi * (1.0 - source.cosine))
     place = turn * GOLDEN + row * 0.7548776662466927 + column * 0.5698402909980532
     photon[ENERGY] = source_energy(source, place - math.floor(place), stream)
     return True

@@ -45,19 +45,24 @@ from .rng import exponential, uniform
 ESCAPED, COLLIDED, STOPPED = 0, 1, 2
 FAINT = 7.0
 """Optical depth beyond which no collision is forced."""
+_NEXT_TO = 1e-6
+"""mm; where a box around a detector is entered, and the detector itself, as far as rounding tells."""
 OPAQUE = 60.0
 """Optical depth beyond which a flight without collision is given up."""
 
 
 @kernel
-def collect(geometry, desk, ray):
-    """List the solids that a ray meets, with their next crossings; (how many, distance at which the world ends)."""
+def collect(geometry, desk, ray, left):
+    """List the solids that a ray meets, with their next crossings; (how many, distance at which the world ends).
+
+    `left` is a convex solid that the ray comes from and does not meet again, or 0.
+    """
     x, y, z = ray[X], ray[Y], ray[Z]
     iu, iv, iw = inverse(ray[U]), inverse(ray[V]), inverse(ray[W])
     count = 0
     for solid in range(1, geometry.kind.size):
         near, far = box_interval(geometry.box[solid], x, y, z, iu, iv, iw)
-        if not (near < far and far > 0.0):
+        if not (near < far and far > 0.0) or solid == left:
             continue
         if is_convex(geometry.kind[solid]):
             near, far = convex_interval(geometry, solid, near, far, ray)
@@ -67,7 +72,8 @@ def collect(geometry, desk, ray):
             desk.following[count] = far if near < 0.0 else near
             desk.far[count] = far
         else:
-            inside = begins_inside(geometry, desk, solid, ray)
+            # A ray that begins outside of the box is outside, one that begins where it collided in this solid is inside.
+            inside = near <= 0.0 and (solid == int(ray[HOME]) or begins_inside(geometry, desk, solid, ray))
             following = crossing(geometry, desk, solid, ray, 0.0, inside)
             if following == math.inf:
                 continue
@@ -146,17 +152,20 @@ def voxels_depth(geometry, physics, desk, ray, solid, bin_, start, stop):
 @kernel
 def is_homely(kind):
     """Whether a flight may begin inside a solid of this kind without a look at the others."""
-    return is_convex(kind) and kind != VOXELS
+    return kind != VOXELS
 
 
 @kernel
-def at_home(geometry, physics, ray, bin_, depth):
+def at_home(geometry, physics, desk, ray, bin_, depth):
     """Begin a flight inside the solid of the last collision, where that stands alone: (collided, distance, material,
     depth left).
     """
     solid = int(ray[HOME])
-    near, far = solid_box_interval(geometry, solid, ray)
-    near, far = convex_interval(geometry, solid, near, far, ray)
+    if is_convex(geometry.kind[solid]):
+        near, far = solid_box_interval(geometry, solid, ray)
+        near, far = convex_interval(geometry, solid, near, far, ray)
+    else:
+        far = crossing(geometry, desk, solid, ray, 0.0, True)
     t = 0.0
     while t < far:
         material, stop = geometry.material[solid], far
@@ -208,18 +217,21 @@ def fly(geometry, physics, detectors, desk, ray, bin_, depth):
     t, free_depth, shielded = 0.0, 0.0, False
     desk.entry[0] = -1.0
     last, free_until = limits(detectors, ray)
-    home = int(ray[HOME])
+    home, left = int(ray[HOME]), 0
     if free_until == 0.0 and home > 0 and geometry.alone[home] and is_homely(geometry.kind[home]):
-        collided, t, material, depth = at_home(geometry, physics, ray, bin_, depth)
+        collided, t, material, depth = at_home(geometry, physics, desk, ray, bin_, depth)
         if collided and t < last:
             return COLLIDED, t, material, home, 0.0, False
         shielded = geometry.role[home] == SHIELD
-    count, end = collect(geometry, desk, ray)
+        # A body that is not convex may be met again.
+        left = home if is_convex(geometry.kind[home]) else 0
+    count, end = collect(geometry, desk, ray, left)
     while True:
         solid, material, stop, which = piece(geometry, desk, ray, count, end, t)
         stop = min(stop, last)
         if desk.entry[0] < 0.0 and geometry.detector[solid] >= 0 and stop > t and solid != home:
-            desk.entry[0], desk.entry[1] = t, geometry.detector[solid]
+            # What a next-event photon flies through without collision another one enters.
+            desk.entry[0], desk.entry[1] = (t if t > free_until - _NEXT_TO else math.inf), geometry.detector[solid]
         free_stop = min(stop, free_until)
         if geometry.kind[solid] == VOXELS:
             if free_stop > t:
@@ -256,7 +268,7 @@ def pieces_ahead(geometry, physics, desk, ray, bin_):
     whose it is and whether a shield comes before it; `chance` the sums of the probabilities over the target and over
     the air. The search ends where little is left, and at voxel volumes, whose depth is not known at once.
     """
-    count, end = collect(geometry, desk, ray)
+    count, end = collect(geometry, desk, ray, 0)
     t, depth, pieces, shielded = 0.0, 0.0, 0, 0
     desk.chance[0], desk.chance[1] = 0.0, 0.0
     while True:

@@ -19,6 +19,8 @@ from .tallies import Sums
 SIDES, SETS, GROUPS = 4, 16, 2
 CORE_SHARE = 4
 """Cells of the view are followed so many times for each time of a cell outside it, from which only leaks come."""
+_TOUCHING = 1e-9
+"""mm."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -133,8 +135,10 @@ def mask_response(
     Raises
     ------
     ValueError
-        If the plate is so thick, or the light so oblique, that a photon crosses more than one cell across or along.
+        If the plate is so thick, or the light so oblique, that a photon crosses more than one cell across or along; if
+        the source is a pencil, or the view with its margin reaches beyond the plate.
     """
+    _check_view(setup, solid, first_column - margin, first_column + columns + margin)
     cells, times = _cells(setup, solid, first_column, columns, margin)
     closed = _closed(setup)
     rows, slots = times.shape
@@ -164,6 +168,21 @@ def mask_response(
         margin=margin,
         histories=sums.histories,
     )
+
+
+def _check_view(setup: Setup, solid: int, first: int, last: int) -> None:
+    if setup.source.cosine >= 1:
+        raise ValueError(
+            "the response of a mask needs a source that sends its photons into a cone; this one is a pencil"
+        )
+    masks, body = setup.geometry.masks, setup.geometry.body[solid]
+    ends = masks.corner[body, 0] + masks.step[body, 0] * np.array([first, last])
+    low, high = setup.geometry.box[solid, [0, 3]]
+    if ends.min() < low - _TOUCHING or ends.max() > high + _TOUCHING:
+        raise ValueError(
+            f"the view of the mask with its margin, x from {ends.min():g} to {ends.max():g} mm, reaches beyond the plate, "
+            f"{low:g} to {high:g} mm; make the margin smaller"
+        )
 
 
 def _cells(setup: Setup, solid: int, first: int, columns: int, margin: int) -> tuple[NDArray[np.int64], Floats]:

@@ -7,7 +7,6 @@ import io
 import math
 import os
 import time
-import zipfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -172,6 +171,7 @@ def run_setup(
         If the checkpoint cannot be written.
     """
     _check(histories, seed, threads, stop_at)
+    histories, seed = int(histories), int(seed)
     begun = time.monotonic()
     edges = batch_edges(histories)
     sums = Sums.of_size(as_vector(setup.empty_tally()).size)
@@ -182,15 +182,15 @@ def run_setup(
     saved = begun
     finished = True
     try:
-        for vector, count in _in_order(setup, seed, edges, sums.batches, threads or thread_count()):
+        last = sums.batches if _is_enough(sums, stop_at) else len(edges) - 1
+        for vector, count in _in_order(setup, seed, edges[: last + 1], sums.batches, threads or thread_count()):
             sums.add(vector, count)
             now = time.monotonic()
             if checkpoint is not None and now - saved > SAVE_EVERY:
                 _save(Path(checkpoint), label, sums, before + now - begun)
                 saved = now
-            error = _relative_error(sums)
-            progress(State(done=sums.histories, total=histories, relative_error=error))
-            if stop_at is not None and sums.batches >= BATCHES // 2 and error <= stop_at:
+            progress(State(done=sums.histories, total=histories, relative_error=_relative_error(sums)))
+            if _is_enough(sums, stop_at):
                 break
     except KeyboardInterrupt:
         if sums.batches == 0:
@@ -215,6 +215,8 @@ def _check(histories: int, seed: int, threads: int | None, stop_at: float | None
     for name, value, least in (("histories", histories, 2), ("seed", seed, 0), ("threads", threads, 1)):
         if value is not None and (isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least):
             raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
+    if seed >= 2**63:
+        raise ValueError(f"seed must be below 2**63, got {seed}")
     if stop_at is not None and not 0 < stop_at < 1:
         raise ValueError(f"stop_at is a relative standard error between 0 and 1, got {stop_at!r}")
 
@@ -224,6 +226,10 @@ def _relative_error(sums: Sums) -> float:
         return math.inf
     n = sums.batches
     return math.sqrt(max(sums.squares[0] - sums.total[0] ** 2 / n, 0.0) * n / (n - 1)) / float(sums.total[0])
+
+
+def _is_enough(sums: Sums, stop_at: float | None) -> bool:
+    return stop_at is not None and sums.batches >= BATCHES // 2 and _relative_error(sums) <= stop_at
 
 
 def _in_order(setup: Setup, seed: int, edges: list[int], first: int, threads: int) -> Iterator[tuple[Floats, int]]:
@@ -248,16 +254,23 @@ def _save(path: Path, label: str, sums: Sums, seconds: float) -> None:
     counts = np.array([sums.batches, sums.histories], np.int64)
     parts = {"total": sums.total, "squares": sums.squares, "counts": counts}
     np.savez(buffer, label=np.array(label), seconds=np.array(seconds), **parts)
-    replace_file(path, [buffer.getvalue()])
+    content = buffer.getvalue()
+    replace_file(path, [content, hashlib.sha256(content).digest()])
 
 
 def _load(path: Path, label: str, empty: Sums) -> tuple[Sums, float]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            found, seconds, counts = str(file["label"]), float(file["seconds"]), file["counts"]
-            total, squares = file["total"], file["squares"]
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile, EOFError) as error:
-        raise ValueError(f"{path} is no checkpoint of a simulation: {error}; remove it or name another file") from error
+        data = path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"the checkpoint {path} cannot be read: {error}; remove it or name another file") from error
+    size = hashlib.sha256().digest_size
+    content, digest = data[:-size], data[-size:]
+    # What is whole was written here, so that nothing below can fail.
+    if hashlib.sha256(content).digest() != digest:
+        raise ValueError(f"{path} is no checkpoint of a simulation, or is damaged; remove it or name another file")
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        found, seconds, counts = str(file["label"]), float(file["seconds"]), file["counts"]
+        total, squares = file["total"], file["squares"]
     if found != label or total.shape != empty.total.shape:
         raise ValueError(
             f"the checkpoint {path} belongs to another scene, seed or number of histories; remove it or name another file"

@@ -96,10 +96,10 @@ class Sums:
 
     def add(self, vector: Floats, histories: int) -> None:
         """One more batch."""
-        self.total += vector
-        self.squares += vector * vector
-        self.batches += 1
-        self.histories += histories
+        total, squares = self.total + vector, self.squares + vector * vector
+        batches, count = self.batches + 1, self.histories + histories
+        # Nothing is called here, so an interrupt leaves all of it done or none.
+        self.total, self.squares, self.batches, self.histories = total, squares, batches, count
 
     def mean(self) -> Floats:
         """Per history."""
