@@ -72,7 +72,7 @@ class Effort:
 
 
 QUICK = Effort(per_cell=400, per_pixel=100, direct=200_000)
-FULL = Effort(per_cell=8000, per_pixel=1000, direct=20_000_000)
+FULL = Effort(per_cell=4000, per_pixel=1000, direct=8_000_000)
 
 
 def load(data: Path, name: str, key: str) -> np.ndarray:
@@ -231,7 +231,7 @@ def draw(path: Path, curves: dict[Any, Any], pictures: dict[str, Any]) -> None:
             ends = [50, max(ours.max(), his.max())]
             axes[row, 0].plot(ends, ends, color="0.4", linewidth=0.8)
             axes[row, 0].set(xscale="log", yscale="log", title=f"{name}, counts of a shot less air")
-            axes[row, 0].set(xlabel="shadowgram, mean", ylabel="GATE, one run", xlim=ends)
+            axes[row, 0].set(xlabel="shadowgram, mean", ylabel="GATE, one run", xlim=ends, ylim=(20, 1.3 * his.max()))
             axes[row, 0].legend(title="transmittance", markerscale=3)
             his, ours = pictures[target]
             top = float(np.percentile(his, 99.5))

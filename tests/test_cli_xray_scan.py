@@ -126,6 +126,9 @@ def test_a_linear_scan(capsys, folder):
         run(capsys, "scan small.toml --route linear --histories 2e4 --seed 4 -o y.nc --json --plot y.png").out
     )
     assert values["counts"] == want.counts.tolist() == read_scan("y.nc").counts.tolist()
+    assert main(["info", "y.nc", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["kind"], told["route"], told["shape"]) == ("xray-scan", "linear", list(want.counts.shape))
     assert (values["background"], values["orders"], values["journal"]) == (None, None, None)
     assert names(folder) == ["small.toml", "y.json", "y.nc", "y.png"]
     run(capsys, "scan small.toml --route linear --histories 2e4 --seed 4 --means -o z.nc")

@@ -11,6 +11,7 @@ import pytest
 import shadowgram as sg
 from shadowgram.xray import scene as sc
 from shadowgram.xray._compile import compile_scene
+from shadowgram.xray.montecarlo import arrays
 from shadowgram.xray.montecarlo import run as run_module
 from shadowgram.xray.montecarlo.arrays import ORDERS
 from shadowgram.xray.montecarlo.run import BATCHES, LARGEST_BATCH, batch_edges, batch_vector, run_setup
@@ -195,6 +196,69 @@ def test_an_estimate_scales():
     assert many.relative_error == pytest.approx(one.relative_error)
     assert run.tallies["all"].mean == 0
     assert run.tallies["all"].relative_error == math.inf
+
+
+# ---- what a detector reads out -----------------------------------------------------------------------------------------------
+
+
+def read_out(x=0.0, y=0.0, energy=100.0, histories=100_000, **changes):
+    """Tallies of a pencil along z that a detector of 60 × 40 mm absorbs, every photon of it and all of its energy."""
+    values = {"name": "one", "centre": (10, 20, 50), "size": (60, 40, 50), "material": "lead"}
+    described = scene(
+        source=sc.Source(position=(10 + x, 20 + y, -100), spectrum={"energy": energy}, activity=1),
+        world=sc.World(size=(600, 600, 600), material="vacuum"),
+        solids=(),
+        detectors=(sc.Detector(**values | changes),),
+        fluorescence=False,
+    )
+    setup = prepare(compile_scene(described), variance_reduction=False)
+    table = setup.physics.attenuation.copy()
+    table[..., arrays.PHOTOELECTRIC : arrays.PHOTOELECTRIC + 2] = table[..., arrays.TOTAL : arrays.TOTAL + 2]
+    black = dataclasses.replace(setup, physics=setup.physics._replace(attenuation=table))
+    return run_setup(black, histories=histories, seed=1).tallies
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "row", "column"), [(-29, -19, 0, 0), (29, -19, 0, 2), (-29, 19, 4, 0), (29, 19, 4, 2), (1, -11, 1, 1)]
+)
+def test_pulses_lie_in_the_pixel_of_their_place(x, y, row, column):
+    """Rows along y, columns along x."""
+    image = read_out(x, y, histories=100, pixels=(5, 3))["one/image"].mean
+    assert image.shape == (5, 3)
+    assert image[row, column] == pytest.approx(1)
+    assert image.sum() == pytest.approx(1)
+
+
+def test_all_of_the_energy_is_in_the_pulse():
+    tallies = read_out(histories=1000)
+    assert tallies["one"].mean == 1
+    assert tallies["one/spectrum"].mean[200] == 1
+    assert tallies["all/orders"].mean[ORDERS.index("direct")] == 1
+    assert tallies["deposited/one"].mean == pytest.approx(100, rel=1e-12)
+
+
+@pytest.mark.parametrize(("threshold", "counted"), [(0, 1), (99.9, 1), (100, 1), (100.1, 0)])
+def test_pulses_below_the_threshold_are_not_counted(threshold, counted):
+    assert read_out(histories=200, threshold=threshold)["one"].mean == counted
+
+
+def test_the_efficiency_is_the_share_that_is_counted():
+    """4 standard deviations: 6e-5."""
+    assert read_out(efficiency=0.3)["one"].mean == pytest.approx(0.3, abs=4 * math.sqrt(0.21 / 100_000))
+
+
+def test_pulses_are_blurred_by_the_resolution():
+    """FWHM 10 % at 662 keV is 25.7 % at 100 keV, since it goes with 1/√E; mean and width within 4 standard deviations."""
+    spectrum = read_out(resolution=0.1)["one/spectrum"]
+    middle = (spectrum.edges[0][1:] + spectrum.edges[0][:-1]) / 2
+    share = spectrum.mean
+    sigma = 0.1 * 662 / 2.3548 * math.sqrt(100 / 662)
+    below = share[middle < 100].sum()
+    assert below == pytest.approx(0.5, abs=4 * math.sqrt(0.25 / 100_000))
+    # What is below the mean by more than 1.2 deviations, an edge of a bin nearby being taken.
+    edge = round((100 - 1.2 * sigma) / 0.5) * 0.5
+    tail = 0.5 * math.erfc((100 - edge) / sigma / math.sqrt(2))
+    assert share[middle < edge].sum() == pytest.approx(tail, abs=4 * math.sqrt(tail / 100_000))
 
 
 # ---- interrupts and checkpoints ----------------------------------------------------------------------------------------------

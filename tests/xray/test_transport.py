@@ -494,6 +494,8 @@ def test_slanted_rays_through_one_two_and_three_cells():
         (-3.5, 5.0, 3.0 / 5.0),  # closed (0.5), the hole (2), closed (2), closed (0.5)
         (2.0, 4.0, 2.0 / 4.0),  # closed (1), the hole (2), then the frame (1)
         (-0.5, -2.0, 0.25),  # backwards: closed (0.5), the hole (1.5)
+        (-1.0005, 3.0, 2.9995 / 3.0),  # the hole for half a micrometre, then two closed
+        (-0.9995, -3.0, 1.0 / 3.0),  # backwards: closed for half a micrometre, the hole (2), closed (0.9995)
         (7.0, -9.0, 6.0 / 9.0),  # backwards: the frame (2), the hole (2), closed (4), the hole from −1 (1)
     ]
     lines = np.zeros((len(cases), RECORD))

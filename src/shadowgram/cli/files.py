@@ -32,14 +32,14 @@ def info(
     wavelengths: Wavelengths = None,
     as_json: AsJson = False,
 ) -> None:
-    """Say what a file holds: a datacube, a measurement or a code.
+    """Say what a file holds: a datacube, a measurement, a code or an X-ray scan.
 
     Example: shadowgram info cube.nc
     """
     values = _native_contents(file) if file.suffix == ".nc" else None
     if values is None:
         values = _cube_contents(read_cube(file, variable=variable, axes=axes, wavelengths=wavelengths))
-    lines = [f"{name.replace('_', ' '):<16}{_shown(value)}" for name, value in values.items()]
+    lines = [f"{name.replace('_', ' '):<18}{_shown(value)}" for name, value in values.items()]
     output.report(values, lines, as_json)
 
 
@@ -119,7 +119,7 @@ def compare(
 
 
 def _native_contents(file: Path) -> dict[str, object] | None:
-    """What a measurement or a code says of itself; None for anything else."""
+    """What a measurement, a code or a scan says of itself; None for anything else."""
     from shadowgram.scenes.readers.native import read_dataset
 
     dataset = read_dataset(file)
@@ -143,6 +143,14 @@ def _native_contents(file: Path) -> dict[str, object] | None:
     if kind == "code" and "code" in dataset.data_vars:
         code = dataset["code"].values
         return {"kind": kind, "shape": list(code.shape), "dtype": str(code.dtype), "open": float(code.mean())}
+    if kind in ("xray-scan", "xray-pencil-scan"):
+        from shadowgram.xray.scan_file import read_pencil_map, read_scan
+
+        found = read_scan(file) if kind == "xray-scan" else read_pencil_map(file)
+        counts = found.counts
+        values = {"kind": kind, "shape": list(counts.shape), "range": [float(counts.min()), float(counts.max())]}
+        settings = ("route", "noisy", "photons_per_shot", "exposure", "photons", "seed")
+        return values | {"mean": float(counts.mean())} | {n: getattr(found, n) for n in settings if hasattr(found, n)}
     return None
 
 
