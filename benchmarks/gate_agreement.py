@@ -49,8 +49,9 @@ HEAD = """# The scanner beside GATE
 Made by `python benchmarks/gate_agreement.py ../shared/data/cxbi --out docs/chapter-4`, from the data that the dissertation's author
 published. Nothing is fitted to his counts. "Ours" leaves fluorescence out, "ours, fluorescence" has it, as nature does: its two
 effects are that tungsten of mask and frame sends its K lines to the plates, and that iodine's K lines escape from them, which takes
-pulses below the threshold of 10 keV. His counts of targets and of air are nearer to those without it. The ceiling is the
-correlation that a perfect model would have with counts as noisy as his.
+pulses below the threshold of 10 keV. His counts of targets are nearer to those without it. The ceiling is the correlation that a
+perfect model would have with counts as noisy as his. Why the air's counts differ is not settled: they depend on the shields around
+the mask, of which little is known. Of his hand nothing is known; ours is a stylised one.
 
 ![Counts of a shot against ours, and maps of pencil beams](gate.png)
 """

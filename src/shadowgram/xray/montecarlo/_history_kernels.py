@@ -3,14 +3,16 @@
 Variance reduction splits what can happen next and follows every part once, so nothing is biased:
 
 - *forced collisions*: the first flight is split into "first collision in the target", "first collision in the air"
-  (each followed with that
-  probability as weight) and everything else (followed as usual, and given up if it collides first in either);
+  (each followed with that probability as weight) and everything else (followed as usual, and given up if it collides
+  first in either);
 - *next-event estimates*: every direction after a collision is split into "reaches detector d without another
   collision" (sent there, with the probability as weight) and everything else (followed as usual, and given up where it
   would enter d). In the detector all is analog;
 - *capture by weight* in materials without fluorescence, and *Russian roulette* for small weights.
 
-A *shower* is what shares one pulse: photons of one weight whose energy in a detector adds up.
+A *shower* is what shares one pulse: photons of one weight whose energy in a detector adds up. One thing is left out of
+that: with variance reduction a K and an L photon of one absorption in the target are showers of their own, so that
+where both are above the cut-off and reach one detector, two pulses stand for the one of their sum.
 """
 
 from __future__ import annotations

@@ -296,7 +296,7 @@ class Rules(NamedTuple):
         mm; a collision closer than this to a detector's assembly makes no next-event estimate to it, whose variance
         would grow without bound.
     least
-        The weight below which a photon is played Russian roulette, as a share of what it started with.
+        The weight below which a photon is played Russian roulette; photons set out with a weight of 1.
     least_air
         The same for collisions forced in the air.
     bin_width

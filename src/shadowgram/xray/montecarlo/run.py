@@ -170,12 +170,15 @@ def run_setup(
     OSError
         If the checkpoint cannot be written.
     """
+    from ._jit import SOURCES
+
     _check(histories, seed, threads, stop_at)
     histories, seed = int(histories), int(seed)
     begun = time.monotonic()
     edges = batch_edges(histories)
     sums = Sums.of_size(as_vector(setup.empty_tally()).size)
-    label = f"{setup.digest()} {seed} {histories}"
+    # With other kernels a run would go on with other physics.
+    label = f"{setup.digest()} {SOURCES} {seed} {histories}"
     before = 0.0
     if checkpoint is not None and Path(checkpoint).exists():
         sums, before = _load(Path(checkpoint), label, sums)
