@@ -47,7 +47,8 @@ TABLE = {"UD": (1.3e3, 3.2e3, 1.27e4), "box": (1.4e3, 4.5e3, 1.9e4), "hand": (1.
 HEAD = """# The scanner beside GATE
 
 Made by `python benchmarks/gate_agreement.py ../shared/data/cxbi --out docs/chapter-4`, from the data that the dissertation's author
-published. Nothing is fitted to his counts. "Ours" leaves fluorescence out, "ours, fluorescence" has it, as nature does: its two
+published. The size of no count is fitted. Where his letters stood is not known and was found from his pictures and shots.
+"Ours" leaves fluorescence out, "ours, fluorescence" has it, as nature does: its two
 effects are that tungsten of mask and frame sends its K lines to the plates, and that iodine's K lines escape from them, which takes
 pulses below the threshold of 10 keV. His counts of targets are nearer to those without it. The ceiling is the correlation that a
 perfect model would have with counts as noisy as his. Why the air's counts differ is not settled: they depend on the shields around

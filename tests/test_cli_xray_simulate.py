@@ -2,8 +2,6 @@
 
 import importlib
 import json
-import sys
-import time
 import types
 
 import numpy as np
@@ -207,16 +205,6 @@ def test_an_interrupt_keeps_what_was_found_and_a_checkpoint_goes_on(capsys, fold
     again = json.loads((folder / "a.json").read_text())
     assert whole["tallies"] == again["tallies"]
     assert read_phase_space(folder / "p.h5").histories == 20_000
-
-
-def test_compilation_is_said_only_while_nothing_is_compiled(capsys, monkeypatch):
-    monkeypatch.setattr(xray_simulate, "COMPILED_BY", 0.01)
-    for signatures, expected in (([], 1), (["compiled"], 0)):
-        kernels = types.SimpleNamespace(batch=types.SimpleNamespace(signatures=signatures))
-        monkeypatch.setitem(sys.modules, "shadowgram.xray.montecarlo._history_kernels", kernels)
-        with xray_simulate._telling_of_compilation():
-            time.sleep(0.2)
-        assert capsys.readouterr().err.count("compiling the transport") == expected
 
 
 def test_time_left_does_not_count_the_compilation(monkeypatch):

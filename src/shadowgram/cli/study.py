@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from . import output
+from . import output, running
 
 if TYPE_CHECKING:
     from shadowgram.experiments.holdings import Holding
@@ -128,7 +128,7 @@ def run(
     begun = time.monotonic()
     chosen = [studies.load(one) for one in (studies.STUDIES if name == "all" else [name])]
     source = _source(scene)
-    executor = _executor(workers, cluster)
+    executor = running.executor(workers, cluster)
     out.mkdir(parents=True, exist_ok=True)
     output.check_folder(out)
     done: list[_Done] = []
@@ -254,17 +254,6 @@ def _source(scene: Path | None) -> SceneSource:
 
     # The whole path: workers have another working directory, and the journal is read in others.
     return generated() if scene is None else recorded(scene.resolve())
-
-
-def _executor(workers: int | None, cluster: str | None) -> Executor:
-    from shadowgram.experiments.dask_run import Cluster, LocalWorkers
-    from shadowgram.experiments.run import Threads
-
-    if workers is not None and cluster is not None:
-        raise ValueError("give --workers for processes of this machine, or --cluster for a scheduler, not both")
-    if workers is not None:
-        return LocalWorkers(workers)
-    return Threads() if cluster is None else Cluster(cluster)
 
 
 def _held(studies: Sequence[Study], out: Path) -> list[tuple[Study, list[Holding]]]:

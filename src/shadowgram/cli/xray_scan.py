@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from . import output, xray_scan_results
+from . import output, running, xray_scan_results
 from .arguments import parse_size, read_code
 from .xray_simulate import read
 
@@ -28,7 +25,6 @@ if TYPE_CHECKING:
     from shadowgram.xray.scene import Scene
 
 FAILED = 1
-COMPILED_BY = 5.0  # s; what is in the cache of numba is loaded in a second, on a busy machine in some
 
 Whole = TypeVar("Whole")
 
@@ -117,7 +113,7 @@ def scan(
     before), journal and seconds.
     """
     begun = time.monotonic()
-    number = None if histories is None else _parse_histories(histories)
+    number = None if histories is None else running.parse_histories(histories)
     output.check_result(out, (".nc",), inputs=[Path(scene), code])
     if plot is not None:
         output.check_output(plot, (".png",), inputs=[Path(scene), code])
@@ -128,7 +124,7 @@ def scan(
     else:
         from shadowgram.xray.scan import direct_plan
 
-        executor = _executor(workers, cluster)
+        executor = running.executor(workers, cluster)
         plan = direct_plan(
             described, codes, shots=shots, histories=number, seed=seed, variance_reduction=means, background=background
         )
@@ -175,7 +171,7 @@ def pencil(
         output.check_output(plot, (".png",), inputs=[Path(scene)])
     from shadowgram.xray.scan import pencil_plan
 
-    executor = _executor(workers, cluster)
+    executor = running.executor(workers, cluster)
     described = read(scene)
     plan = pencil_plan(
         described,
@@ -196,16 +192,6 @@ def pencil(
         _plot(xray_scan.pencil(found), plot)
     values = xray_scan_results.pencil_values(found, out, folder, time.monotonic() - begun)
     output.report(values, xray_scan_results.pencil_lines(found, out), as_json)
-
-
-def _parse_histories(text: str) -> int:
-    try:
-        number = float(text)
-    except ValueError:
-        number = 0.0
-    if not (math.isfinite(number) and number >= 2 and number == int(number)):
-        raise ValueError(f"--histories takes a whole number of at least 2, such as 1000000 or 1e6; got {text!r}")
-    return int(number)
 
 
 def _coded(scene: Scene, transmittance: float | None, code: Path | None) -> tuple[Scene, np.ndarray | None]:
@@ -256,7 +242,7 @@ def _linear(
 ) -> Scan:
     from shadowgram.xray.scan import linear_scan
 
-    with output.progress("scan", 100) as update, _telling_of_compilation("response_batch"):
+    with output.progress("scan", 100) as update, running.telling_of_compilation("response_batch"):
         return linear_scan(
             scene,
             codes,
@@ -267,17 +253,6 @@ def _linear(
             background=background,
             progress=lambda done, total: update(100 * done // total, ""),
         )
-
-
-def _executor(workers: int | None, cluster: str | None) -> Executor:
-    from shadowgram.experiments.dask_run import Cluster, LocalWorkers
-    from shadowgram.experiments.run import Threads
-
-    if workers is not None and cluster is not None:
-        raise ValueError("give --workers for processes of this machine, or --cluster for a scheduler, not both")
-    if workers is not None:
-        return LocalWorkers(workers)
-    return Threads() if cluster is None else Cluster(cluster)
 
 
 def _run(plan: Plan[Whole], folder: Path, executor: Executor, what: str) -> Whole:
@@ -310,28 +285,8 @@ def _try(block: Block) -> None:
     """Follow two photons, so that what is wrong with the scene is known at once, and the kernels are compiled once for all."""
     from shadowgram.xray._scan_blocks import follow
 
-    with _telling_of_compilation("batch"):
+    with running.telling_of_compilation("batch"):
         follow(dataclasses.replace(block, histories=2, steps=block.steps[:1]))
-
-
-@contextmanager
-def _telling_of_compilation(kernel: str) -> Iterator[None]:
-    """Say that the transport is being compiled if nothing compiled is there after a while."""
-
-    def say() -> None:
-        from shadowgram.xray.montecarlo import _history_kernels, _response_kernels
-
-        found: Any = _history_kernels.batch if kernel == "batch" else _response_kernels.response_batch
-        if not found.signatures:
-            typer.echo("shadowgram: compiling the transport, about half a minute, once on this machine", err=True)
-
-    timer = threading.Timer(COMPILED_BY, say)
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
 
 
 def _write_scan(found: Scan, out: Path, context: typer.Context) -> None:

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from . import output, xray_results
+from . import output, running, xray_results
 
 if TYPE_CHECKING:
     from shadowgram.xray._compile import Compiled
     from shadowgram.xray.montecarlo.run import Run, State
     from shadowgram.xray.scene import Scene
 
-COMPILED_BY = 2.0  # s; what is in numba's cache is loaded in half a second
 
 SceneName = Annotated[
     str, typer.Argument(metavar="SCENE|NAME", help="TOML file of a scene, or one that comes with the package.")
@@ -70,7 +66,7 @@ def simulate(
     deposited/SOLID (keV), dose/SOLID (Gy), escaped/backward, escaped/forward and escaped/cosine. Means are per source photon; times
     photons_per_shot they are per shot.
     """
-    number = _parse_histories(histories)
+    number = running.parse_histories(histories)
     given = Path(scene)
     _check_files(given, out, plot, phase_space, checkpoint)
     described = read(scene)
@@ -109,17 +105,6 @@ def read(scene: str) -> Scene:
     return read_scene(path)
 
 
-def _parse_histories(text: str) -> int:
-    try:
-        number = float(text)
-        whole = int(number) if number == int(number) else 0
-    except (ValueError, OverflowError):
-        whole = 0
-    if whole < 2:
-        raise ValueError(f"--histories takes a whole number of at least 2, such as 1000000 or 1e6; got {text!r}")
-    return int(text) if text.strip().isdigit() else whole
-
-
 def _check_files(
     scene: Path, out: Path | None, plot: Path | None, phase_space: Path | None, checkpoint: Path | None
 ) -> None:
@@ -149,7 +134,7 @@ def _run(
     from shadowgram.xray.simulation import simulate as follow
 
     arrays = compiled(scene, shot)
-    with output.progress("photons", histories) as update, _telling_of_compilation():
+    with output.progress("photons", histories) as update, running.telling_of_compilation("batch"):
         return follow(
             arrays,
             histories=histories,
@@ -181,25 +166,6 @@ class _Watch:
             wanted = min(wanted, state.done * (error / self._stop_at) ** 2)
         left = (now - begun) * max(0.0, wanted - state.done) / (state.done - before) if state.done > before else None
         self._update(state.done, f"± {100 * error:.2g} %" if math.isfinite(error) else "", left)
-
-
-@contextmanager
-def _telling_of_compilation() -> Iterator[None]:
-    """Say that the transport is being compiled if nothing compiled is there after a while."""
-
-    def say() -> None:
-        from shadowgram.xray.montecarlo._history_kernels import batch
-
-        if not batch.signatures:  # pyright: ignore[reportFunctionMemberAccess]  # numba has made a dispatcher of it
-            typer.echo("shadowgram: compiling the transport, about half a minute, once on this machine", err=True)
-
-    timer = threading.Timer(COMPILED_BY, say)
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
 
 
 def _write(out: Path, context: typer.Context, run: Run, scene: Scene, values: dict[str, object]) -> None:
