@@ -351,7 +351,7 @@ def test_foreign_checkpoints_are_refused(setup, checkpoint):
     refused(setup, checkpoint, belongs, histories=HISTORIES + 1)
     for changes in (
         {"rules": setup.rules._replace(cutoff=2.0)},
-        {"rules": setup.rules._replace(reduce=1 - setup.rules.reduce)},
+        {"rules": setup.rules._replace(reduce=None if setup.rules.reduce else True)},
         {"bins": setup.bins + 1},
         {"source": setup.source._replace(position=np.array([0.0, 0.0, -99.0]))},
         {"geometry": setup.geometry._replace(box=setup.geometry.box + 1e-9)},

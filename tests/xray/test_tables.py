@@ -13,6 +13,7 @@ from shadowgram.xray.montecarlo.arrays import (
     COMPTON_NORM,
     ELECTRON_MASS,
     ENERGY_BINS,
+    GUIDE,
     HC,
     LOWEST_MOMENTUM,
     MOMENTUM_BINS,
@@ -88,8 +89,17 @@ def test_shapes_and_types(physics):
     assert physics.line_start.shape == (shells + 1,)
     for table in physics:
         assert table.flags.c_contiguous
-        assert table.dtype in (np.float64, np.int64)
+        assert table.dtype in (np.float64, np.int64, np.uint8)
         assert np.isfinite(table).all()
+
+
+@pytest.mark.parametrize("index", range(len(NAMES)))
+def test_the_guide_points_at_the_last_edge_before_a_step(physics, index):
+    cumulative = physics.coherent[index]
+    for step, edge in enumerate(physics.coherent_guide[index]):
+        value = cumulative[-1] * step / GUIDE
+        assert edge == 0 or cumulative[edge] <= value
+        assert edge == MOMENTUM_BINS - 1 or value < cumulative[edge + 1]
 
 
 @pytest.mark.parametrize("index", range(len(NAMES)))

@@ -29,7 +29,7 @@ from shadowgram.xray.montecarlo._walk_kernels import (
     piece,
     pieces_ahead,
 )
-from shadowgram.xray.montecarlo.arrays import ENERGY, FREE, HOME, MATERIAL, RECORD, VOXELS, U, X
+from shadowgram.xray.montecarlo.arrays import ENERGY, FREE, HOME, MATERIAL, RECORD, VOXELS, Rules, U, X
 from shadowgram.xray.montecarlo.rng import begin
 from shadowgram.xray.montecarlo.run import batch_vector, run_setup
 from shadowgram.xray.simulation import prepare
@@ -37,6 +37,7 @@ from shadowgram.xray.simulation import prepare
 GOLDEN = Path(__file__).parents[1] / "golden" / "xray_slabs.json"
 ENERGY_KEV = 300.0
 ANGLES = (0.4, -0.3, 0.7)
+REDUCED = Rules(cutoff=1.0, reduce=True, near=30.0, least=0.005, least_air=0.1, bin_width=0.5)
 
 
 def _entries(sources):
@@ -56,13 +57,13 @@ def _entries(sources):
                 t = stop
 
     @entry
-    def flown(geometry, physics, detectors, desk, rays, depths, out):
+    def flown(geometry, physics, detectors, rules, desk, rays, depths, out):
         """Row i: status, distance, material, solid, depth without collision, and whether a shield was crossed."""
         begin(desk.stream, 1, 0)
         for i in range(rays.shape[0] if sources else 0):
             bin_ = energy_bin(rays[i, ENERGY])
             status, t, material, solid, free, shielded = fly(
-                geometry, physics, detectors, desk, rays[i], bin_, depths[i]
+                geometry, physics, detectors, rules, desk, rays[i], bin_, depths[i]
             )
             out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4], out[i, 5] = (
                 status,
@@ -526,7 +527,7 @@ def test_depths_without_collision_are_those_of_plain_loops(which, request):
     lines = lines[lines[:, U + 2] > 0.05]  # towards the wall far away
     lines[:, FREE] = 0
     found = np.zeros((len(lines), 6))
-    arguments = (reference.compiled.geometry, reference.compiled.physics, far_away(), desk_of(reference))
+    arguments = (reference.compiled.geometry, reference.compiled.physics, far_away(), REDUCED, desk_of(reference))
     _flown(*arguments, lines, np.full(len(lines), 1e9), found)
     roles, own = reference.compiled.geometry.role, reference.compiled.geometry.material
     for line, (status, t, _, _, depth, shielded) in zip(lines, found, strict=True):
@@ -554,7 +555,7 @@ def test_collisions_are_where_the_depth_is_used_up(which, request):
     lines = rays(300, 5)
     depths = np.random.default_rng(6).exponential(1.5, len(lines))
     found = np.zeros((len(lines), 6))
-    arguments = (reference.compiled.geometry, reference.compiled.physics, far_away(), desk_of(reference))
+    arguments = (reference.compiled.geometry, reference.compiled.physics, far_away(), REDUCED, desk_of(reference))
     _flown(*arguments, lines, depths, found)
     collided = 0
     for line, depth, (status, t, material, body, free, _) in zip(lines, depths, found, strict=True):
@@ -578,7 +579,7 @@ def test_a_flight_that_begins_at_home_is_the_same(lonely):
     kept = solids > 0
     lines, solids = lines[kept], solids[kept]
     assert set(solids) >= set(range(1, 8))
-    arguments = (geometry, lonely.compiled.physics, far_away(), desk_of(lonely))
+    arguments = (geometry, lonely.compiled.physics, far_away(), REDUCED, desk_of(lonely))
     for scale in (0.1, 1.0, 5.0):
         depths = np.random.default_rng(8).exponential(scale, len(lines))
         plain, at_home = np.zeros((len(lines), 6)), np.zeros((len(lines), 6))
@@ -630,7 +631,7 @@ def test_flights_through_voxels_let_as_many_through(with_cells, free):
     many[:, FREE] = 0 if free else -1
     depths = np.full(len(many), 1e9) if free else np.random.default_rng(11).exponential(1, len(many))
     found = np.zeros((len(many), 6))
-    arguments = (with_cells.compiled.geometry, with_cells.compiled.physics, far_away(), desk_of(with_cells))
+    arguments = (with_cells.compiled.geometry, with_cells.compiled.physics, far_away(), REDUCED, desk_of(with_cells))
     _flown(*arguments, many, depths, found)
     passed = (np.exp(-found[:, 4]) if free else (found[:, 0] == ESCAPED).astype(float)).reshape(20, repeats)
     expected = np.exp([-depth for _, depth in chosen])

@@ -109,7 +109,7 @@ def prepare(compiled: Compiled, *, variance_reduction: bool) -> Setup:
         )
     rules = Rules(
         cutoff=cutoff,
-        reduce=int(variance_reduction),
+        reduce=True if variance_reduction else None,
         near=NEAR,
         least=LEAST,
         least_air=LEAST_AIR,

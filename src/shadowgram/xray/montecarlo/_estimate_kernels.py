@@ -31,11 +31,22 @@ def face_weight(box, photon, axis, gap):
 
 @kernel
 def cauchy(stream, low, high, gap):
-    """A place between `low` and `high` with density ∝ 1 / (gap² + place²), and that density."""
-    first = math.atan(low / gap)
-    span = math.atan(high / gap) - first
-    place = gap * math.tan(first + uniform(stream) * span)
-    return place, gap / (span * (gap * gap + place * place))
+    """A place between `low` and `high` with density gap / (span (gap² + place²)), and span, the angle between the two."""
+    low, high = low / gap, high / gap
+    span = math.atan2(high - low, 1.0 + low * high)
+    part = math.tan(uniform(stream) * span)
+    return gap * (low + part) / (1.0 - low * part), span
+
+
+@kernel
+def along_strip(stream, low, high, squared):
+    """A place between `low` and `high` with density ∝ (squared + place²)^(−3/2), and the integral of that, times `squared`.
+
+    So a point of a strip is uniform in solid angle, as seen from a distance √squared.
+    """
+    low, high = low / math.sqrt(squared + low * low), high / math.sqrt(squared + high * high)
+    sine = low + uniform(stream) * (high - low)
+    return sine * math.sqrt(squared / (1.0 - sine * sine)), high - low
 
 
 @kernel
@@ -44,7 +55,7 @@ def aim(detectors, desk, photon, detector, near):
     it is too close.
 
     A point is drawn on the faces that look at the photon; a detector is convex, so every direction that meets it has
-    one such point. A product of two Cauchy laws puts it almost evenly in solid angle.
+    one such point. Across the face a Cauchy law, then along it the law of the solid angle, put it almost evenly there.
     """
     box = detectors.assembly[detector]
     total, closest = 0.0, 0.0
@@ -66,12 +77,13 @@ def aim(detectors, desk, photon, detector, near):
             draw -= weight
     gap = face_gap(box, photon[X + face], face)
     across, along = (face + 1) % 3, (face + 2) % 3
-    a, density_a = cauchy(desk.stream, box[across] - photon[X + across], box[3 + across] - photon[X + across], gap)
-    b, density_b = cauchy(desk.stream, box[along] - photon[X + along], box[3 + along] - photon[X + along], gap)
+    a, span = cauchy(desk.stream, box[across] - photon[X + across], box[3 + across] - photon[X + across], gap)
+    squared = a * a + gap * gap
+    b, sines = along_strip(desk.stream, box[along] - photon[X + along], box[3 + along] - photon[X + along], squared)
     c = gap if photon[X + face] < box[face] else -gap
-    squared = a * a + b * b + gap * gap
-    distance = math.sqrt(squared)
-    density = weight / total * density_a * density_b * squared * distance / gap
+    distance = math.sqrt(squared + b * b)
+    # Densities of a and b times distance³ / gap, which turns an area of the face into a solid angle.
+    density = weight / (total * span * sines)
     if face == 0:
         return c / distance, a / distance, b / distance, density
     if face == 1:
@@ -140,8 +152,9 @@ def serve(geometry, physics, detectors, rules, desk, photon, material, solid, bi
     """Next-event estimates after an emission in target, shield or air, and note on the photon which detectors they cover."""
     photon[COVERED] = 0.0
     photon[FREE] = -1.0
-    analog = rules.reduce == 0 or int(photon[MARKS]) & MET_DETECTOR
-    if not analog and (geometry.role[solid] in (TARGET, SHIELD) or solid == 0):
+    if rules.reduce is None or int(photon[MARKS]) & MET_DETECTOR:
+        return True
+    if geometry.role[solid] in (TARGET, SHIELD) or solid == 0:
         covered = next_events(geometry, physics, detectors, rules, desk, photon, material, bin_, before, how)
         photon[COVERED] = max(covered, 0)
         return covered >= 0

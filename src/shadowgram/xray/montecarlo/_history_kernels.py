@@ -55,7 +55,7 @@ from .arrays import (
     W,
     X,
 )
-from .rng import begin, exponential, normal, uniform
+from .rng import exponential, normal, start_of, uniform
 
 
 @kernel
@@ -69,8 +69,8 @@ def choose(geometry, physics, rules, desk, tally, photon, material, solid, bin_)
     absorbed = looked_up(physics, material, bin_, energy, PHOTOELECTRIC)
     draw = uniform(desk.stream) * total
     dark = physics.shell_start[material] == physics.shell_start[material + 1]
-    analog = rules.reduce == 0 or geometry.role[solid] == DETECTOR or int(photon[MARKS]) & MET_DETECTOR
-    if dark and not analog:
+    split = rules.reduce is not None and geometry.role[solid] != DETECTOR and not int(photon[MARKS]) & MET_DETECTOR
+    if split and dark:
         share = absorbed / total
         tally.deposited[solid] += photon[WEIGHT] * share * energy
         photon[WEIGHT] *= 1.0 - share
@@ -173,9 +173,9 @@ def note_phase(desk, photon):
 @kernel
 def advance(geometry, physics, source, detectors, rules, desk, tally, photon, bin_):
     """Fly a photon to its next collision and leave solid and material there in `HOME` and `MATERIAL`; false if it is done with."""
-    was_free = photon[FREE] >= 0.0
+    was_free = rules.reduce is not None and photon[FREE] >= 0.0
     status, t, material, solid, depth, shielded = fly(
-        geometry, physics, detectors, desk, photon, bin_, exponential(desk.stream)
+        geometry, physics, detectors, rules, desk, photon, bin_, exponential(desk.stream)
     )
     if shielded:
         photon[MARKS] = int(photon[MARKS]) | LEAKED
@@ -190,9 +190,10 @@ def advance(geometry, physics, source, detectors, rules, desk, tally, photon, bi
         escape(source, rules, tally, photon)
         return False
     # What a forced flight was split into is followed on its own.
-    if status == STOPPED or ((solid == 0 or geometry.role[solid] == TARGET) and t < photon[FORCED]):
-        return False
-    photon[FORCED] = 0.0
+    if rules.reduce is not None:
+        if status == STOPPED or ((solid == 0 or geometry.role[solid] == TARGET) and t < photon[FORCED]):
+            return False
+        photon[FORCED] = 0.0
     for i in range(3):
         photon[X + i] += t * photon[U + i]
     photon[HOME], photon[MATERIAL] = solid, material
@@ -278,7 +279,7 @@ def history(geometry, physics, source, detectors, rules, desk, tally):
     photon, level = desk.photon, desk.level
     tally.balance[0] += photon[WEIGHT] * photon[ENERGY]
     level[0], level[1] = 0, 0
-    room = rules.reduce == 0 or force(geometry, physics, rules, desk, photon)
+    room = rules.reduce is None or force(geometry, physics, rules, desk, photon)
     while room:
         room = follow(geometry, physics, source, detectors, rules, desk, tally, photon)
         if level[0] > 0:
@@ -297,8 +298,11 @@ def _batch(sources):
     @entry
     def batch(geometry, physics, source, detectors, rules, desk, tally, seed, first, last):
         """Histories `first` to `last` − 1; the number of the one whose photons found no room, or −1."""
+        # Found one history ahead, since nothing can begin before the first number is there.
+        start, step = start_of(seed, first)
         for number in range(first, last if sources else first):
-            begin(desk.stream, seed, number)
+            desk.stream[0], desk.stream[1] = start, step
+            start, step = start_of(seed, number + 1)
             emit(desk.photon, source, desk.stream)
             if not history(geometry, physics, source, detectors, rules, desk, tally):
                 return number

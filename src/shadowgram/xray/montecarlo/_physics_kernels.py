@@ -115,41 +115,37 @@ def compton_density(physics, material, bin_, energy, cosine):
 
 @kernel
 def coherent_integral(physics, material, squared):
-    """∫₀^{x²} of the squared form factor over that at 0, and the momentum bin of x."""
+    """∫₀^{x²} of the squared form factor over that at 0."""
     table = physics.coherent[material]
     if squared < _LOWEST_SQUARED:
-        return table[0] * squared / _LOWEST_SQUARED, -1
+        return table[0] * squared / _LOWEST_SQUARED
     bin_, _ = momentum_place(math.sqrt(squared))
     low = edge_squared(bin_)
     share = min((squared - low) / (edge_squared(bin_ + 1) - low), 1.0)
-    return table[bin_] + share * (table[bin_ + 1] - table[bin_]), bin_
+    return table[bin_] + share * (table[bin_ + 1] - table[bin_])
 
 
 @kernel
-def coherent_inverse(physics, material, value, last):
-    """The x² below which the integral is `value`; `last` is a bin that holds it or comes after it."""
-    table = physics.coherent[material]
+def coherent_inverse(physics, material, value):
+    """The x² below which the integral is `value`: a guide table says near which edge, a few steps from there find it."""
+    table, guide = physics.coherent[material], physics.coherent_guide[material]
     if value <= table[0]:
         return value / table[0] * _LOWEST_SQUARED
-    low, high = 0, last + 1
-    while high - low > 1:
-        middle = (low + high) >> 1
-        if table[middle] < value:
-            low = middle
-        else:
-            high = middle
-    share = (value - table[low]) / (table[high] - table[low])
+    low = int(guide[min(int(value / table[MOMENTUM_BINS] * guide.size), guide.size - 1)])
+    while low < MOMENTUM_BINS - 1 and table[low + 1] < value:
+        low += 1
+    share = (value - table[low]) / (table[low + 1] - table[low])
     start = edge_squared(low)
-    return start + share * (edge_squared(high) - start)
+    return start + share * (edge_squared(low + 1) - start)
 
 
 @kernel
 def rayleigh(physics, material, stream, energy):
     """Draw the cosine of coherent scattering: x² from the form factor, then (1 + cos²θ)/2 by rejection."""
     largest = (energy / HC) ** 2
-    total, last = coherent_integral(physics, material, largest)
+    total = coherent_integral(physics, material, largest)
     while True:
-        squared = coherent_inverse(physics, material, uniform(stream) * total, last)
+        squared = coherent_inverse(physics, material, uniform(stream) * total)
         cosine = 1.0 - 2.0 * min(squared / largest, 1.0)
         if uniform(stream) < 0.5 * (1.0 + cosine * cosine):
             return cosine

@@ -12,11 +12,13 @@ from .rng import disk, uniform
 @kernel
 def source_energy(source, place, stream):
     """The photon energy of the spectrum at a place in [0, 1): one look into Walker's table."""
-    place *= source.energy.size
-    index = int(place)
-    if place - index >= source.keep[index]:
-        index = source.alias[index]
-    energy = source.energy[index]
+    energy = source.energy[0]
+    if source.energy.size > 1:
+        place *= source.energy.size
+        index = int(place)
+        if place - index >= source.keep[index]:
+            index = source.alias[index]
+        energy = source.energy[index]
     if source.width > 0.0:
         energy += (uniform(stream) - 0.5) * source.width
     return energy
@@ -67,4 +69,4 @@ def emit(photon, source, stream):
         set_direction(photon, source.axis, a * scale, b * scale, 1.0 - 0.5 * squared)
     else:
         photon[U], photon[V], photon[W] = source.axis[2, 0], source.axis[2, 1], source.axis[2, 2]
-    photon[ENERGY] = source_energy(source, uniform(stream), stream)
+    photon[ENERGY] = source_energy(source, uniform(stream) if source.energy.size > 1 else 0.0, stream)

@@ -61,8 +61,10 @@ def collect(geometry, desk, ray, left):
     iu, iv, iw = inverse(ray[U]), inverse(ray[V]), inverse(ray[W])
     count = 0
     for solid in range(1, geometry.kind.size):
+        if solid == left:
+            continue
         near, far = box_interval(geometry.box[solid], x, y, z, iu, iv, iw)
-        if not (near < far and far > 0.0) or solid == left:
+        if not (near < far and far > 0.0):
             continue
         if is_convex(geometry.kind[solid]):
             near, far = convex_interval(geometry, solid, near, far, ray)
@@ -190,12 +192,14 @@ def assembly_distance(detectors, detector, ray):
 
 
 @kernel
-def limits(detectors, ray):
+def limits(detectors, rules, ray):
     """(How far a photon flies before it comes to what its next-event estimates cover; how far it flies without collision).
 
     A next-event photon gives way to that of another detector, where the same ray comes to it later, or at the same
     place and its number is the lower one: so each way to fly without collision is followed once.
     """
+    if rules.reduce is None:
+        return math.inf, 0.0
     covered, free, end = int(ray[COVERED]), int(ray[FREE]), math.inf
     free_until = assembly_distance(detectors, free, ray) if free >= 0 else 0.0
     if covered != 0:
@@ -208,7 +212,7 @@ def limits(detectors, ray):
 
 
 @kernel
-def fly(geometry, physics, detectors, desk, ray, bin_, depth):
+def fly(geometry, physics, detectors, rules, desk, ray, bin_, depth):
     """Follow a photon to its next collision.
 
     Returns (ESCAPED, COLLIDED or STOPPED where its next-event estimates take over; distance; material; solid; optical
@@ -216,7 +220,7 @@ def fly(geometry, physics, detectors, desk, ray, bin_, depth):
     """
     t, free_depth, shielded = 0.0, 0.0, False
     desk.entry[0] = -1.0
-    last, free_until = limits(detectors, ray)
+    last, free_until = limits(detectors, rules, ray)
     home, left = int(ray[HOME]), 0
     if free_until == 0.0 and home > 0 and geometry.alone[home] and is_homely(geometry.kind[home]):
         collided, t, material, depth = at_home(geometry, physics, desk, ray, bin_, depth)

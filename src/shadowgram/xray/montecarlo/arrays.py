@@ -26,6 +26,8 @@ LOWEST_MOMENTUM = 2.0**-8
 MOMENTUM_BINS_PER_OCTAVE_BITS = 4
 MOMENTUM_BINS = 14 << MOMENTUM_BINS_PER_OCTAVE_BITS
 """Up to 64 1/Å, beyond what 512 keV can transfer."""
+GUIDE = 512
+"""Steps of the guide to the cumulative form factor."""
 HC = 12.398419843320026
 """keV·Å (CODATA 2018, exact)."""
 ELECTRON_MASS = 510.99895
@@ -56,6 +58,8 @@ class Physics(NamedTuple):
     coherent
         (material, momentum edge): cumulative ∫₀^{x²} F²(t)/F²(0) dt at the edges, F² = Σ nᵢ Fᵢ², starting with the part
         below edge 0. Inside a bin it is linear in x².
+    coherent_guide
+        (material, `GUIDE`): where `coherent` is k / `GUIDE` of its last value, the last edge before that.
     form_factor
         (material, momentum edge): F²(x)/F²(0), so that the density agrees with `coherent`: the mean over each bin is the difference
         of `coherent` over the difference of x². One value a bin, constant inside it; the last entry repeats.
@@ -79,6 +83,7 @@ class Physics(NamedTuple):
     attenuation: Floats
     incoherent: Floats
     coherent: Floats
+    coherent_guide: NDArray[np.uint8]
     form_factor: Floats
     shell_start: Integers
     shell_cumulative: Floats
@@ -290,8 +295,9 @@ class Rules(NamedTuple):
     cutoff
         keV below which a photon is absorbed where it is.
     reduce
-        1 for variance reduction (forced collisions in the target, next-event estimates to the detectors, capture by
-        weight), 0 for analog.
+        True for variance reduction (forced collisions in the target, next-event estimates to the detectors, capture by
+        weight), None for analog: its type tells, so that numba compiles two kernels, and the analog one is a seventh
+        faster for what is not in it.
     near
         mm; a collision closer than this to a detector's assembly makes no next-event estimate to it, whose variance
         would grow without bound.
@@ -304,7 +310,7 @@ class Rules(NamedTuple):
     """
 
     cutoff: float
-    reduce: int
+    reduce: bool | None
     near: float
     least: float
     least_air: float

@@ -21,6 +21,10 @@ CORE_SHARE = 4
 """Cells of the view are followed so many times for each time of a cell outside it, from which only leaks come."""
 _TOUCHING = 1e-9
 """mm."""
+_LEAST_AIR = 0.5
+"""Weight of a photon forced to collide in the air: one in a hundred does, and half a photon for each leaves the counts
+from air twice as exact as those from a bright target, in five sixths of the time that a tenth takes.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -207,7 +211,8 @@ def _cells(setup: Setup, solid: int, first: int, columns: int, margin: int) -> t
 def _closed(setup: Setup) -> Setup:
     """The same scene with its masks closed, which is how photons meet them that come back."""
     masks = setup.geometry.masks
-    return replace(setup, geometry=setup.geometry._replace(masks=masks._replace(open=np.zeros_like(masks.open))))
+    closed = setup.geometry._replace(masks=masks._replace(open=np.zeros_like(masks.open)))
+    return replace(setup, geometry=closed, rules=setup.rules._replace(least_air=_LEAST_AIR))
 
 
 def _batch(

@@ -33,15 +33,20 @@ def mix(z):
 
 
 @kernel
-def begin(stream, seed, history):
-    """Put `stream`, two uint64, at the first number of a history."""
+def start_of(seed, history):
+    """(Start, step) of a history's stream."""
     key = mix(np.uint64(seed) + _GOLDEN)
     start = mix(key + np.uint64(history) * _GOLDEN)
     step = start ^ key
     step = (step ^ (step >> _S33)) * _STEP_1
     step = (step ^ (step >> _S33)) * _STEP_2
-    stream[0] = start
-    stream[1] = (step ^ (step >> _S33)) | _ONE
+    return start, (step ^ (step >> _S33)) | _ONE
+
+
+@kernel
+def begin(stream, seed, history):
+    """Put `stream`, two uint64, at the first number of a history."""
+    stream[0], stream[1] = start_of(seed, history)
 
 
 @kernel

@@ -58,9 +58,11 @@ class Setup:
         """A name for all numbers in here: two setups with the same digest give the same results."""
         hashed = hashlib.sha256()
         for value in _leaves((self.geometry, self.physics, self.source, self.detectors, self.rules, self.bins)):
-            array = np.asarray(value)
-            hashed.update(f"{array.dtype}{array.shape}".encode())
-            hashed.update(np.ascontiguousarray(array).tobytes())
+            if not isinstance(value, np.ndarray):
+                hashed.update(repr(value).encode())
+                continue
+            hashed.update(f"{value.dtype}{value.shape}".encode())
+            hashed.update(np.ascontiguousarray(value).tobytes())
         return hashed.hexdigest()
 
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from shadowgram.xray import _elements
 from shadowgram.xray._elements import RADIUS_SQUARED
@@ -19,6 +20,7 @@ from .arrays import (
     BINS_PER_OCTAVE_BITS,
     ELECTRON_MASS,
     ENERGY_BINS,
+    GUIDE,
     HC,
     HIGHEST_ENERGY,
     LOWEST_ENERGY,
@@ -77,9 +79,16 @@ def physics_tables(materials: Sequence[Material], cutoff: float = 1.0) -> Physic
         attenuation=np.array([_attenuation(m, s, f) for m, s, f in zip(materials, incoherent, means, strict=True)]),
         incoherent=incoherent,
         coherent=coherent,
+        coherent_guide=np.array([_guide(row) for row in coherent]),
         form_factor=np.concatenate([means[:, 1:], means[:, -1:]], axis=1),
         **_emission(materials, cutoff),
     )
+
+
+def _guide(cumulative: Floats) -> NDArray[np.uint8]:
+    """(GUIDE) the last edge below equal steps of a cumulative table."""
+    steps = cumulative[-1] * np.arange(GUIDE) / GUIDE
+    return np.clip(np.searchsorted(cumulative, steps, side="right") - 1, 0, MOMENTUM_BINS - 1).astype(np.uint8)
 
 
 @cache
