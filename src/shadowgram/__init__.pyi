@@ -11,6 +11,7 @@ from . import testing as testing
 from . import xray as xray
 from ._threads import threads as threads
 from .operators.base import LinearOperator as LinearOperator
+from .solvers.admm import ADMM as ADMM
 from .solvers.eigen_tv import EigenTV as EigenTV
 from .solvers.fista import FISTA as FISTA
 from .solvers.gpsr import GPSR as GPSR
@@ -20,5 +21,6 @@ from .spectral.cassi import CASSI as CASSI
 from .spectral.cassi import DualCASSI as DualCASSI
 from .spectral.colored import ColoredCASSI as ColoredCASSI
 from .spectral.sscsi import SSCSI as SSCSI
+from .xray.cxbi import CXBI as CXBI
 
 __version__: str

@@ -21,6 +21,7 @@ class Group(StrEnum):
     reconstruction = "reconstruction"
     codes = "codes"
     transport = "transport"
+    denoisers = "denoisers"
     scaling = "scaling"
     threads = "threads"
     memory = "memory"

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from . import benchmark, cameras, demo, files, masks, recovery, resolution, study, xray
+from . import benchmark, cameras, demo, denoiser, files, masks, recovery, resolution, study, xray
 from .output import Interrupted, complain, print_warning
 
 OK, INTERRUPTED = 0, 130
@@ -32,6 +32,7 @@ app.command("resolution")(resolution.resolution)
 app.add_typer(masks.app, name="codes")
 app.add_typer(study.app, name="study")
 app.add_typer(xray.app, name="xray")
+app.add_typer(denoiser.app, name="denoiser")
 app.command("bench")(benchmark.bench)
 
 

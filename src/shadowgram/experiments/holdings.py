@@ -187,7 +187,7 @@ def page(
         figures[name] = (study, held[0])
         details += ["", f"## {study.name}: {study.title}", "", f"{study.source}.", "", f"![{study.title}]({name})"]
         for (page, says), found in _statements(held).items():
-            details += ["", f"**{place(page)}: {says}.**", ""]
+            details += ["", f"**{place(page)}: {says}{'' if says.endswith('?') else '.'}**", ""]
             if page is None:
                 details += [f"- {label}: {_sentence(one)}" for label, one in found.items()]
                 continue

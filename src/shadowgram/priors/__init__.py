@@ -1,1 +1,5 @@
-"""Proximal maps and denoisers, as callables."""
+"""Proximal maps and denoisers, as callables: ``(image, sigma) → image``."""
+
+import lazy_loader as _lazy
+
+__getattr__, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)

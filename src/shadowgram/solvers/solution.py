@@ -1,6 +1,6 @@
 """What every solver gives back, and the function that starts them all.
 
-A solver is a frozen dataclass of its parameters (`GPSR`, `FISTA`, `EigenTV`); its module registers how it is solved.
+A solver is a frozen dataclass of its parameters (`GPSR`, `FISTA`, `EigenTV`, `ADMM`); its module registers how it is solved.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def solve(spec: object, H: LinearOperator, y: np.ndarray, callback: Callback | N
 
     Parameters
     ----------
-    spec : ``GPSR(...)``, ``FISTA(...)`` or ``EigenTV(...)``.
+    spec : ``GPSR(...)``, ``FISTA(...)``, ``EigenTV(...)`` or ``ADMM(...)``.
     H : the forward model, e.g. ``imager.operator(code)``.
     y : snapshots of `H.out_shape`, e.g. (shot, y, x). float32 and integers are solved in float32, float64 in float64.
     callback : called as ``callback(iteration, values)`` after every iteration, with the newest values of the history.

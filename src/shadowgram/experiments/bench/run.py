@@ -8,13 +8,15 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from importlib import metadata
 
-from . import codes, memory, operators, peers, scaling, solvers, transport
+from . import codes, denoisers, memory, operators, peers, scaling, solvers, transport
 from . import machine as machines
 from .machine import Machine
 from .spec import BenchSpec, Row
 from .timing import limited_threads
 
-GROUPS = ("operators", "basis", "iteration", "reconstruction", "codes", "transport", "scaling", "threads", "memory")
+GROUPS = (
+    "operators", "basis", "iteration", "reconstruction", "codes", "transport", "denoisers", "scaling", "threads", "memory",
+)  # fmt: skip
 LIBRARIES = ("shadowgram", "numpy", "numba", "scipy", "pywavelets")
 
 
@@ -74,6 +76,7 @@ def run(spec: BenchSpec, groups: Iterable[str], peers_python: str | None, step: 
             step("peers")
             results.peers = [peer.record() for peer in peers.compare(spec, rows, peers_python)]
             results.peers += transport.compare(rows, peers_python)
+            results.peers += denoisers.compare(rows, peers_python)
     return results
 
 
@@ -93,6 +96,7 @@ def _run_group(name: str, results: Results, rows: dict[str, Row]) -> None:
             "reconstruction": solvers.reconstruction_cases,
             "codes": codes.design_cases,
             "transport": transport.transport_cases,
+            "denoisers": denoisers.denoiser_cases,
         }[name]
         for row in cases(spec, limits):
             rows[row.case] = row
