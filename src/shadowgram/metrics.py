@@ -1,7 +1,7 @@
-"""How far a reconstruction is from the truth: PSNR, mean spectral RMSE, SSIM and spectral angle.
+"""How far a reconstruction is from the truth: PSNR, mean spectral RMSE, SSIM and spectral angle; and the contrast of what it shows.
 
-Every function takes the estimate first and the ground truth second, real arrays of one shape, (band, y, x), and gives a
-float; sums are taken in float64. xarray cubes are taken as they lie.
+Every function but the contrast takes the estimate first and the ground truth second, real arrays of one shape, (band, y, x), and
+gives a float; sums are taken in float64. xarray cubes are taken as they lie.
 """
 
 from __future__ import annotations
@@ -171,6 +171,94 @@ def sam(x: ArrayLike, truth: ArrayLike) -> float:
     angle = 2 * np.arctan2(np.linalg.norm(u - v, axis=0), np.linalg.norm(u + v, axis=0))
     angle[a_zero ^ b_zero] = np.pi / 2
     return float(angle.mean())
+
+
+def contrast(x: ArrayLike, target: ArrayLike, background: ArrayLike) -> float:
+    """Contrast of a region against its background, |mean of the target − mean of the background| / mean of the background.
+
+    Parameters
+    ----------
+    x : (y, x) image.
+    target, background : (y, x) bool, the pixels of either.
+
+    Returns
+    -------
+    float
+        Not negative.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, a region is empty or both share a pixel, a value is not finite, or the mean of the background is not
+        positive.
+
+    Notes
+    -----
+    Source: Salazar (2022), eq. (4.16). A reconstruction without its air or dark level has a smaller background, and so a larger
+    contrast.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from shadowgram import metrics
+    >>> image = np.full((8, 8), 100.0)
+    >>> image[2:4, 2:4] = 60.0
+    >>> gun = image < 80
+    >>> metrics.contrast(image, gun, ~gun), round(metrics.contrast_error(image, gun, ~gun), 4)
+    (0.4, 0.0395)
+    """
+    inside, outside = _regions(x, target, background)
+    return abs(float(inside.mean() / outside.mean()) - 1)
+
+
+def contrast_error(counts: ArrayLike, target: ArrayLike, background: ArrayLike) -> float:
+    """Standard error of `contrast` from Poisson noise, where every pixel is a number of counts of its own.
+
+    It holds for images of counts, such as of pencil beams. Pixels of a reconstruction are not independent: repeat such scans.
+
+    Parameters
+    ----------
+    counts : (y, x) image of counts.
+    target, background : as for `contrast`.
+
+    Returns
+    -------
+    float
+        To first order, r √(1/N_t + 1/N_b) with r the ratio of the means and N the counts of a whole region.
+
+    Raises
+    ------
+    ValueError
+        As `contrast`, and if counts are negative.
+    """
+    inside, outside = _regions(counts, target, background)
+    if min(inside.min(), outside.min()) < 0:
+        raise ValueError(
+            "counts cannot be negative; the error of a contrast by Poisson's law needs counts as they came"
+        )
+    ratio = inside.mean() / outside.mean()
+    return math.sqrt(float(ratio / inside.size / outside.mean() + ratio**2 / outside.sum()))
+
+
+def _regions(x: ArrayLike, target: ArrayLike, background: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Values of the pixels of both regions."""
+    image, inside, outside = np.asarray(x), np.asarray(target), np.asarray(background)
+    if image.ndim != 2 or not image.shape == inside.shape == outside.shape:
+        raise ValueError(
+            f"contrast takes an image (y, x) and two masks of its shape, got {image.shape}, {inside.shape} and {outside.shape}"
+        )
+    if inside.dtype != bool or outside.dtype != bool:
+        raise ValueError("the regions of a contrast are masks of True and False, such as image > 5")
+    if not (inside.any() and outside.any()):
+        raise ValueError("the target and the background of a contrast need at least a pixel each")
+    if (inside & outside).any():
+        raise ValueError("the target and the background of a contrast share pixels; take them out of one")
+    values = image[inside].astype(np.float64), image[outside].astype(np.float64)
+    if not all(np.isfinite(part).all() for part in values):
+        raise ValueError("contrast needs finite numbers, but the regions hold NaN or infinity")
+    if not values[1].mean() > 0:
+        raise ValueError(f"the mean of the background must be positive for a contrast, got {values[1].mean():g}")
+    return values
 
 
 def _ssim_band(a: np.ndarray, b: np.ndarray, peak: float) -> float:

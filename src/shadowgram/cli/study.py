@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -115,6 +116,12 @@ def run(
     cluster: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Compute on the workers of this Dask scheduler.")
     ] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Folder of measured data, for the studies that need them.", show_default=False
+        ),
+    ] = None,
     out: Out = FOLDER,
     as_json: Json = False,
 ) -> None:
@@ -126,6 +133,8 @@ def run(
     from shadowgram.experiments.journal import open_journal
 
     begun = time.monotonic()
+    if data is not None:
+        _use_data(data)
     chosen = [studies.load(one) for one in (studies.STUDIES if name == "all" else [name])]
     source = _source(scene)
     executor = running.executor(workers, cluster)
@@ -247,6 +256,15 @@ def _end(done: Sequence[_Done], journal: Path) -> None:
         )
     if any(one.problem for one in done):
         raise typer.Exit(FAILED)
+
+
+def _use_data(folder: Path) -> None:
+    """Let the tasks find measured data, here and in processes that are started from here."""
+    from shadowgram.experiments.data_folder import VARIABLE
+
+    if not folder.is_dir():
+        raise NotADirectoryError(f"there is no folder {folder}; give the one that has the measured data")
+    os.environ[VARIABLE] = str(folder.resolve())
 
 
 def _source(scene: Path | None) -> SceneSource:

@@ -35,6 +35,8 @@ STUDIES = (
     "codes-light",
     "fig-4-1",
     "slab-backscatter",
+    "cxbi-gate",
+    "cxbi-laboratory",
 )
 
 
