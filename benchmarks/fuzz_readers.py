@@ -3,9 +3,12 @@
     python benchmarks/fuzz_readers.py --mutations 2000
 
 Each format's files are changed by bit flips, overwritten runs, truncations, insertions and deletions, half of them in the
-first or last kilobyte, where the headers are. Worker processes read the results with `shadowgram.scenes.read`; one that
-dies is a crash, one that is silent for too long is a hang, and any exception but ValueError and OSError is an error of the
-reader. "contained" counts the refusals where the HDF5 library crashed or ran out of its limits in the process that
+first or last kilobyte, where the headers are, and by other numbers in place of those that are there, in text as in binary.
+Of formats with several files (ENVI, folders of pictures and of camera frames) one of them is changed, lost, renamed or
+doubled; PNG pictures get right checksums again, mostly. Worker processes read the results with `shadowgram.scenes.read` or
+`read_frames`; one that dies is a crash, one that is silent for too long is a hang, and any exception but ValueError and
+OSError is an error of the reader. Where the values have no zeros and many come back without a word, they were made up:
+"zeros". "contained" counts the refusals where the HDF5 library crashed or ran out of its limits in the process that
 `shadowgram` keeps it in. A native file must come back exactly as it was, or be refused; other formats keep no checksum of
 everything, so that changed values are counted but allowed. The exit code is 1 if anything was found that must not be.
 """
@@ -17,18 +20,42 @@ import faulthandler
 import io
 import json
 import queue
+import re
+import resource
+import shutil
 import subprocess
 import sys
 import tempfile
 import threading
 import time
 import warnings
+import zlib
 from pathlib import Path
 
 import numpy as np
 
-FORMATS = ("native", "mat5", "mat73", "npy", "npz", "netcdf")
-OUTCOMES = ("refused", "same", "changed", "crash", "hang", "error")
+FORMATS = ("native", "mat5", "mat73", "npy", "npz", "netcdf", "envi", "tiff", "png", "frames")
+OUTCOMES = ("refused", "same", "changed", "zeros", "crash", "hang", "error")
+NUMBERS = (0, 1, 2, 3, 7, 8, 255, 256, 2**15, 2**16 - 1, 2**24, 2**31 - 1, 2**31, 2**32 - 1, 2**62, 2**64 - 1)
+WORDS = (
+    "0",
+    "-1",
+    "1",
+    "3",
+    "6",
+    "7",
+    "12",
+    "1e9",
+    "1000000000000",
+    "99999999999999999999",
+    "0.5",
+    "nan",
+    "inf",
+    "x",
+    "",
+)
+NO_ZEROS = ("envi", "tiff", "png", "frames")
+PLAIN = {ord(character): "_" for character in "/\0\ufffd"}
 
 
 def main() -> int:
@@ -49,17 +76,17 @@ def main() -> int:
         print(json.dumps(results))
     else:
         print_table(results)
-    bad = sum(result[what] for result in results.values() for what in ("crash", "hang", "error"))
+    bad = sum(result[what] for result in results.values() for what in ("zeros", "crash", "hang", "error"))
     return int(bool(bad or results.get("native", {}).get("changed", 0)))
 
 
 def print_table(results: dict[str, dict]) -> None:
     """One row a format."""
     columns = (*OUTCOMES, "contained")
-    print(f"{'format':8}" + "".join(f"{what:>10}" for what in columns) + f"{'slowest':>11}{'total':>9}")
+    print(f"{'format':8}" + "".join(f"{what:>10}" for what in columns) + f"{'slowest':>11}{'memory':>9}{'total':>9}")
     for name, result in results.items():
         counts = "".join(f"{result[what]:10d}" for what in columns)
-        print(f"{name:8}{counts}{result['slowest']:9.2f} s{result['seconds']:7.0f} s")
+        print(f"{name:8}{counts}{result['slowest']:9.2f} s{result['megabytes']:6d} MB{result['seconds']:7.0f} s")
     for name, result in results.items():
         for note in result["notes"]:
             print(f"{name}: {note}")
@@ -67,7 +94,7 @@ def print_table(results: dict[str, dict]) -> None:
 
 def supervise(name: str, seed: int, mutations: int, patience: float) -> dict:
     """Count what becomes of the mutations of one format; a worker that dies or hangs is replaced by another."""
-    result: dict = dict.fromkeys((*OUTCOMES, "contained"), 0) | {"slowest": 0.0, "notes": []}
+    result: dict = dict.fromkeys((*OUTCOMES, "contained"), 0) | {"slowest": 0.0, "megabytes": 0, "notes": []}
     began, index = time.monotonic(), 0
     while index < mutations:
         arguments = ["--formats", name, "--seed", str(seed), "--worker", str(index), "--mutations", str(mutations)]
@@ -85,11 +112,12 @@ def supervise(name: str, seed: int, mutations: int, patience: float) -> dict:
                 break
             if not line:
                 break
-            outcome, note, seconds = json.loads(line)
+            outcome, note, seconds, megabytes = json.loads(line)
             result[outcome] += 1
             result["contained"] += outcome == "refused" and ("crashed on it" in note or "did not finish" in note)
             result["slowest"] = max(result["slowest"], seconds)
-            if outcome == "error" or (name == "native" and outcome == "changed"):
+            result["megabytes"] = max(result["megabytes"], megabytes)
+            if outcome in ("error", "zeros") or (name == "native" and outcome == "changed"):
                 result["notes"].append(f"mutation {index}: {note}")
             index += 1
         worker.kill()
@@ -103,36 +131,120 @@ def supervise(name: str, seed: int, mutations: int, patience: float) -> dict:
 
 def work(name: str, seed: int, start: int, stop: int) -> None:
     """Read mutations start, start + 1, ... and print one line of JSON for each."""
-    from shadowgram import scenes
-
     faulthandler.enable()
     warnings.simplefilter("ignore")
-    with tempfile.TemporaryDirectory() as folder:
-        bases = [Path(folder) / base for base in make_files(name, Path(folder))]
-        wholes = [(base, base.read_bytes(), scenes.read(base)) for base in bases]
+    with tempfile.TemporaryDirectory() as made, tempfile.TemporaryDirectory() as damaged:
+        wholes = [(files, read_values(files[0], name)) for files in make_sets(name, Path(made))]
         for index in range(start, stop):
-            base, content, whole = wholes[index % len(wholes)]
+            files, whole = wholes[index % len(wholes)]
             rng = np.random.default_rng([seed, FORMATS.index(name), index])
-            damaged = base.with_stem("damaged")
-            damaged.write_bytes(mutate(content, rng))
+            path = damage(files, Path(damaged), rng)
             began = time.monotonic()
             outcome, note = "refused", ""
             try:
-                cube = scenes.read(damaged)
-                kept = cube.identical(whole.rename(cube.name)) and cube.dtype == whole.dtype
-                outcome = "same" if kept else "changed"
+                with warnings.catch_warnings(record=True) as said:
+                    warnings.simplefilter("always")
+                    values = read_values(path, name)
+                outcome = "same" if alike(values, whole) else "changed"
+                if (
+                    name in NO_ZEROS
+                    and zeros(values[0]) > zeros(whole[0]) + 64
+                    and "were set to 0" not in str([*map(str, said)])
+                ):
+                    outcome, note = "zeros", f"{zeros(values[0])} of {values[0].size} values are 0"
             except (ValueError, OSError) as error:
                 note = str(error)
             except Exception as error:  # noqa: BLE001  # this is what the script looks for
                 outcome, note = "error", repr(error)
-            print(json.dumps([outcome, note, time.monotonic() - began]), flush=True)
+            seconds, peak = time.monotonic() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+            print(json.dumps([outcome, note, seconds, peak]), flush=True)
+
+
+def make_sets(name: str, folder: Path) -> list[list[Path]]:
+    """What is read, undamaged: each a file or a folder, and after it the files that may be damaged."""
+    makers = {"envi": make_envi, "tiff": make_tiff, "png": make_png, "frames": make_frames}
+    if name in makers:
+        return makers[name](folder)
+    return [[folder / base, folder / base] for base in make_files(name, folder)]
+
+
+def read_values(path: Path, name: str) -> tuple[np.ndarray, ...]:
+    """All that comes out of a file: values, wavelengths and attributes, or what `read_frames` gives."""
+    from shadowgram import scenes
+
+    if name == "frames":
+        found = scenes.read_frames(path)
+        return found.snapshots, found.saturated, found.exposures
+    cube = scenes.read(path)
+    return cube.values, cube.wavelength.values, np.array(repr(sorted(cube.attrs.items())))
+
+
+def alike(values: tuple[np.ndarray, ...], whole: tuple[np.ndarray, ...]) -> bool:
+    """Whether what was read is what was written, with its types."""
+    return all(a.dtype == b.dtype and np.array_equal(a, b) for a, b in zip(values, whole, strict=True))
+
+
+def zeros(values: np.ndarray) -> int:
+    """How many values are zero."""
+    return int(values.size - np.count_nonzero(values))
+
+
+def damage(files: list[Path], folder: Path, rng: np.random.Generator) -> Path:
+    """A copy of the files in `folder` of which one is damaged, lost or doubled; returns what is to be read."""
+    shutil.rmtree(folder)
+    read, parts = files[0], files[1:]
+    inside = read.is_dir()
+    root = folder / "damaged" if inside else folder
+    root.mkdir(parents=True)
+    for part in parts:
+        (root / part.name).write_bytes(part.read_bytes())
+    chosen = root / parts[rng.integers(len(parts))].name
+    kind = rng.integers(20) if len(parts) > 1 else 99
+    if kind == 0:
+        chosen.unlink()
+    elif kind == 1:
+        chosen.rename(
+            chosen.with_stem(mutate(chosen.stem.encode(), rng).decode("ascii", "replace").translate(PLAIN)[:40])
+        )
+    elif kind == 2:
+        shutil.copy(chosen, chosen.with_stem(f"{chosen.stem}{rng.integers(20)}"))
+    else:
+        content = mutate(chosen.read_bytes(), rng)
+        # The checksums of PNG would keep every change from what lies behind them.
+        chosen.write_bytes(with_checksums(content) if chosen.suffix == ".png" and rng.random() < 0.7 else content)
+    return root if inside else root / read.name
+
+
+def with_checksums(data: bytes) -> bytes:
+    """A PNG file with right checksums, as far as its chunks can be told."""
+    fixed, at = bytearray(data), 8
+    while at + 12 <= len(data):
+        end = at + 8 + int.from_bytes(data[at : at + 4], "big")
+        if end + 4 > len(data):
+            break
+        fixed[end : end + 4] = zlib.crc32(data[at + 4 : end]).to_bytes(4, "big")
+        at = end + 4
+    return bytes(fixed)
+
+
+def mutate_number(data: bytearray, rng: np.random.Generator) -> None:
+    """Put another number in place of one: of digits where there are some, or of 2, 4 or 8 bytes."""
+    texts = list(re.finditer(rb"[0-9.]+", bytes(data))) if data[:1].isascii() else []
+    if texts and rng.random() < 0.5:
+        found = texts[rng.integers(len(texts))]
+        data[found.start() : found.end()] = str(rng.choice(WORDS)).encode()
+    else:
+        width = int(rng.choice([2, 4, 8]))
+        at = 2 * int(rng.integers(max(1, len(data) // 2)))
+        number = int(NUMBERS[rng.integers(len(NUMBERS))]) % 256**width
+        data[at : at + width] = number.to_bytes(width, "little" if rng.random() < 0.7 else "big")
 
 
 def mutate(content: bytes, rng: np.random.Generator) -> bytes:
     """A damaged copy, never equal to the original."""
     data = bytearray(content)
     while bytes(data) == content:
-        kind = rng.integers(6)
+        kind = rng.integers(8)
         place = rng.integers(len(data)) if rng.random() < 0.5 else rng.integers(-1024, 1024) % len(data)
         run = int(rng.integers(1, 65))
         if kind == 0:
@@ -146,6 +258,8 @@ def mutate(content: bytes, rng: np.random.Generator) -> bytes:
             del data[place:]
         elif kind == 4:
             data[place:place] = rng.bytes(run)
+        elif kind >= 6:
+            mutate_number(data, rng)
         else:
             del data[place : place + run]
     return bytes(data)
@@ -200,6 +314,93 @@ def make_mat73(values: np.ndarray, folder: Path) -> list[str]:
         header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
         (folder / name).write_bytes(header.ljust(512, b"\0") + buffer.getvalue()[512:])
     return ["a.mat", "b.mat"]
+
+
+def image(seed: int, shape: tuple[int, ...] = (5, 12, 16), high: int = 256) -> np.ndarray:
+    """Whole numbers without zeros, smooth so that they can be compressed."""
+    rng = np.random.default_rng(seed)
+    ramp = np.add.outer(np.arange(shape[-2]), 2 * np.arange(shape[-1])) % 100 + 1
+    return (ramp + rng.integers(0, 20, shape)) * (high // 128)
+
+
+def make_envi(folder: Path) -> list[list[Path]]:
+    """Of our own, and as spectrometers write them: BIL, big-endian, an offset, a scale; given by either file."""
+    from shadowgram import scenes
+
+    cube = scenes.as_datacube(image(1) / np.float32(256), np.linspace(451, 642, 5), name="scene")
+    scenes.write(cube, folder / "a.hdr")
+    (folder / "b.hdr").write_text(
+        "ENVI\nsamples = 16\nlines = 12\nbands = 5\nheader offset = 24\ndata type = 12\ninterleave = bil\n"
+        "byte order = 1\nreflectance scale factor = 10000\ndata ignore value = 65535\nwavelength units = Micrometers\n"
+        "wavelength = {0.451, 0.5, 0.55,\n 0.6, 0.642}\nbbl = {1, 1, 1, 1, 1}\n"
+    )
+    (folder / "b.img").write_bytes(bytes(range(24)) + image(2).transpose(1, 0, 2).astype(">u2").tobytes())
+    files = {ending: folder / ending for ending in ("a.hdr", "a.dat", "b.hdr", "b.img")}
+    return [
+        [files["a.hdr"], files["a.hdr"], files["a.dat"]],
+        [files["a.dat"], files["a.hdr"], files["a.dat"]],
+        [files["b.hdr"], files["b.hdr"], files["b.img"]],
+        [files["b.img"], files["b.hdr"], files["b.img"]],
+    ]
+
+
+def make_tiff(folder: Path) -> list[list[Path]]:
+    """OME-TIFF of our own; BigTIFF in tiles; strips with Deflate, LZW and PackBits; samples of one page."""
+    import tifffile
+    from PIL import Image
+
+    from shadowgram import scenes
+
+    cube = scenes.as_datacube(image(1) / np.float32(256), np.linspace(451, 642, 5), name="scene")
+    scenes.write(cube, folder / "a.ome.tif")
+    grey = {"photometric": "minisblack"}
+    deep = image(2, high=65536).astype(np.uint16)
+    tifffile.imwrite(folder / "b.tif", deep, bigtiff=True, tile=(16, 16), byteorder=">", metadata=None, **grey)
+    how = {"compression": "zlib", "predictor": True, "rowsperstrip": 5}
+    tifffile.imwrite(folder / "c.tif", deep, **how, **grey, metadata={"wavelength": [451, 500, 550, 600, 642]})
+    tifffile.imwrite(folder / "d.tif", deep.transpose(1, 2, 0), planarconfig="contig", metadata=None, **grey)
+    pages = [Image.fromarray(page.astype(np.uint8)) for page in image(3)]
+    for name, compression in (("e.tif", "tiff_lzw"), ("f.tif", "packbits")):
+        pages[0].save(folder / name, save_all=True, append_images=pages[1:], compression=compression)
+    return [[folder / name, folder / name] for name in ("a.ome.tif", "b.tif", "c.tif", "d.tif", "e.tif", "f.tif")]
+
+
+def make_png(folder: Path) -> list[list[Path]]:
+    """A folder of our own, and one of 8 bits with every kind of row filter and without wavelengths."""
+    from PIL import Image
+
+    from shadowgram import scenes
+
+    scenes.write(scenes.as_datacube(image(1) / np.float32(256), np.linspace(451, 642, 5)), folder / "a")
+    (folder / "b_ms").mkdir()
+    for i, page in enumerate(image(2, (5, 40, 60)), 1):
+        Image.fromarray(page.astype(np.uint8)).save(folder / "b_ms" / f"b_ms_{i:02d}.png")
+    return [[folder / name, *sorted((folder / name).iterdir())] for name in ("a", "b_ms")]
+
+
+def make_frames(folder: Path) -> list[list[Path]]:
+    """Folders of camera frames, described in TOML and in JSON, of PNG, TIFF and NumPy files."""
+    import tifffile
+
+    from shadowgram.scenes.readers.png import png_bytes
+
+    toml, plain = folder / "toml", folder / "json"
+    toml.mkdir()
+    plain.mkdir()
+    frames = (image(1, (5, 12, 16), 16384) + 500).astype(np.uint16)
+    for i, frame in enumerate(frames[:4]):
+        (toml / f"shot{i}.png").write_bytes(png_bytes(frame))
+        tifffile.imwrite(plain / f"shot{i}.tif", frame, photometric="minisblack", metadata=None)
+    for path in (toml, plain):
+        np.save(path / "dark.npy", np.full(frames[0].shape, 100, np.uint16))
+    (toml / "capture.toml").write_text(
+        'exposure = 0.02\nsaturation = 60000\ndark = ["dark.npy"]\n[[shots]]\nframes = ["shot0.png", "shot1.png"]\n'
+        '[[shots]]\nframes = ["shot2.png"]\n[[shots]]\nframes = ["shot3.png"]\n'
+    )
+    shots = [{"frames": [f"shot{i}.tif", f"shot{i + 1}.tif"], "exposure": [0.1, 0.2]} for i in (0, 2)]
+    dark = [{"frame": "dark.npy", "exposure": 0.1}, {"frame": "dark.npy", "exposure": 0.2}]
+    (plain / "capture.json").write_text(json.dumps({"saturation": 60000, "dark": dark, "shots": shots}))
+    return [[path, *sorted(path.iterdir())] for path in (toml, plain)]
 
 
 if __name__ == "__main__":

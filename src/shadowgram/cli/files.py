@@ -16,7 +16,9 @@ from .cubes import quality_lines, read_cube, side_by_side
 if TYPE_CHECKING:
     import xarray as xr
 
-InputFile = Annotated[Path, typer.Argument(help="File to read.", show_default=False)]
+InputFile = Annotated[
+    Path, typer.Argument(help="File to read, or folder with a PNG picture a band.", show_default=False)
+]
 Variable = Annotated[str | None, typer.Option(help="Variable to read, where the file has several.")]
 Axes = Annotated[str | None, typer.Option(help="Order of the axes in the file, such as y,x,band.")]
 Wavelengths = Annotated[
@@ -32,11 +34,11 @@ def info(
     wavelengths: Wavelengths = None,
     as_json: AsJson = False,
 ) -> None:
-    """Say what a file holds: a datacube, a measurement, a code or an X-ray scan.
+    """Say what a file holds: a datacube, a measurement, a code, an X-ray scan or its image, or a folder of camera frames.
 
     Example: shadowgram info cube.nc
     """
-    values = _native_contents(file) if file.suffix == ".nc" else None
+    values = _native_contents(file) if file.suffix == ".nc" else _frames_contents(file) if file.is_dir() else None
     if values is None:
         values = _cube_contents(read_cube(file, variable=variable, axes=axes, wavelengths=wavelengths))
     lines = [f"{name.replace('_', ' '):<18}{_shown(value)}" for name, value in values.items()]
@@ -47,7 +49,13 @@ def convert(
     context: typer.Context,
     source: Annotated[Path, typer.Argument(metavar="IN", help="Datacube to read.", show_default=False)],
     out: Annotated[
-        Path, typer.Argument(metavar="OUT", help="File to write; its ending says the format.", show_default=False)
+        Path,
+        typer.Argument(
+            metavar="OUT",
+            help="File to write; its ending says the format: .nc, .mat, .npz, .npy, .hdr (ENVI) or .tif (OME-TIFF); "
+            "without one a new folder of PNG pictures is made.",
+            show_default=False,
+        ),
     ],
     variable: Variable = None,
     axes: Axes = None,
@@ -62,7 +70,7 @@ def convert(
     """
     from shadowgram.scenes import write
 
-    output.check_result(out, (".nc", ".mat", ".npz", ".npy"), inputs=[source])
+    _check_cube_path(out, source)
     cube = read_cube(source, variable=variable, axes=axes, wavelengths=wavelengths)
     if crop is not None:
         rows, columns = parse_crop(crop)
@@ -151,7 +159,41 @@ def _native_contents(file: Path) -> dict[str, object] | None:
         values = {"kind": kind, "shape": list(counts.shape), "range": [float(counts.min()), float(counts.max())]}
         settings = ("route", "noisy", "photons_per_shot", "exposure", "photons", "seed")
         return values | {"mean": float(counts.mean())} | {n: getattr(found, n) for n in settings if hasattr(found, n)}
+    if kind == "xray-image" and "image" in dataset.data_vars:
+        image, shots = dataset["image"].values, dataset.sizes.get("shot")
+        said = ("verdict", "p_value", "pedestal", "chi_square")
+        values = {"kind": kind, "shape": list(image.shape), "range": [float(image.min()), float(image.max())]}
+        return values | {"shots": shots} | {name: dataset.attrs[name] for name in said if name in dataset.attrs}
     return None
+
+
+def _frames_contents(folder: Path) -> dict[str, object] | None:
+    """What a folder of camera frames holds; None where nothing in it describes them."""
+    from shadowgram.scenes import read_frames
+    from shadowgram.scenes.readers.capture_notes import NAMES
+
+    if not any((folder / name).is_file() for name in NAMES):
+        return None
+    frames = read_frames(folder)
+    return {
+        "kind": "frames",
+        "shape": list(frames.snapshots.shape),
+        "exposures_s": frames.exposures.tolist(),
+        "range_per_s": [float(frames.snapshots.min()), float(frames.snapshots.max())],
+        "saturated": int(frames.saturated.sum()),
+    }
+
+
+def _check_cube_path(out: Path, source: Path) -> None:
+    """Refuse a path for a cube that cannot be written, or that would replace what is read, before any work is done."""
+    if not out.suffix and out.name:
+        if out.exists():
+            raise ValueError(f"{out} is there already; a folder of PNG pictures must be new")
+        output.check_folder(out.parent)
+        return
+    output.check_result(out, (".nc", ".mat", ".npz", ".npy", ".hdr", ".tif", ".tiff"), inputs=[source])
+    if out.suffix.lower() == ".hdr":
+        output.check_output(out.with_suffix(".dat"), (".dat",), inputs=[source])
 
 
 def _cube_contents(cube: xr.DataArray) -> dict[str, object]:

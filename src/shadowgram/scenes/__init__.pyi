@@ -3,5 +3,9 @@ from .colour import to_rgb as to_rgb
 from .colour import wavelength_rgb as wavelength_rgb
 from .datacube import as_datacube as as_datacube
 from .generated import chart as chart
+from .readers import Frames as Frames
 from .readers import read as read
+from .readers import read_array as read_array
+from .readers import read_frames as read_frames
 from .readers import write as write
+from .responses import rgb_response as rgb_response

@@ -19,6 +19,7 @@ import numpy as np
 from shadowgram.scenes.readers.choose import list_contents
 from shadowgram.scenes.readers.contents import Variable
 from shadowgram.scenes.readers.numpy_files import npy_variables, npz_variables
+from shadowgram.scenes.readers.opened import is_hdf5
 
 from . import captured
 from .patterns import check_file
@@ -115,19 +116,13 @@ def _matlab(path: Path) -> dict[str, Variable]:
     from ._captured_cells import hdf5_cells, mat5_cells
 
     with path.open("rb") as file:
-        head = file.read(8)
-    if head != b"\x89HDF\r\n\x1a\n" and not _is_hdf5_behind_text(path):
+        head = file.read(520)
+    if not is_hdf5(head):
         return mat5_variables(path) | mat5_cells(path)
     with isolated(path) as listing:
         # They can be loaded only here, and a scan has no large ones that are not needed.
         plain = {name: _loaded(one) for name, one in listing.variables.items()}
     return plain | hdf5_cells(path)
-
-
-def _is_hdf5_behind_text(path: Path) -> bool:
-    """MATLAB writes 512 bytes of text before its HDF5 files."""
-    with path.open("rb") as file:
-        return file.read(520)[512:] == b"\x89HDF\r\n\x1a\n"
 
 
 def _loaded(variable: Variable) -> Variable:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 import stat
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -34,20 +34,49 @@ def replace_file(path: str | os.PathLike[str], chunks: Iterable[Chunk]) -> None:
     >>> path.read_text()
     'new text'
     """
-    target = Path(path).resolve()  # a symbolic link stays one: the file it points to is replaced
-    temporary = target.with_name(f".{target.name[:100]}.{secrets.token_hex(6)}.part")
+    replace_files([(path, chunks)])
+
+
+def replace_files(parts: Sequence[tuple[str | os.PathLike[str], Iterable[Chunk]]]) -> None:
+    """Write files that belong together, the last of which says how the others are to be read, such as a header.
+
+    The last one is taken away before the first is put in place: after a crash in between there is no header rather than
+    one that does not belong to its data.
+
+    Raises
+    ------
+    OSError
+        If one cannot be written; then all are as they were, but for a crash between the last steps.
+    """
+    targets = [_resolved(path) for path, _ in parts]
+    temporaries = [target.with_name(f".{target.name[:100]}.{secrets.token_hex(6)}.part") for target in targets]
+    path = parts[-1][0]
     try:
-        _check_target(target)
         try:
-            _write(temporary, chunks, _permissions(target))
-            temporary.replace(target)
+            for target in targets:
+                _check_target(target)
+            for (_, chunks), target, temporary in zip(parts, targets, temporaries, strict=True):
+                _write(temporary, chunks, _permissions(target))
+            if len(parts) > 1:
+                targets[-1].unlink(missing_ok=True)
+            for target, temporary in zip(targets, temporaries, strict=True):
+                temporary.replace(target)
         except BaseException:
-            with suppress(OSError):
-                temporary.unlink()
+            for temporary in temporaries:
+                with suppress(OSError):
+                    temporary.unlink()
             raise
     except OSError as error:
         raise type(error)(f"cannot write {path}: {error.strerror or error}; nothing was changed") from error
-    _sync_folder(target.parent)
+    _sync_folder(targets[-1].parent)
+
+
+def _resolved(path: str | os.PathLike[str]) -> Path:
+    """The file itself: a symbolic link stays one, and what it points to is replaced."""
+    try:
+        return Path(path).resolve()
+    except RuntimeError:  # of Python before 3.13
+        raise OSError(f"cannot write {path}: its symbolic links go round in a circle") from None
 
 
 def _check_target(target: Path) -> None:

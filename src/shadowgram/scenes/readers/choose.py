@@ -39,11 +39,13 @@ def choose_cube(
         order = parse_axes(axes)
     order = order or _guess_axes(chosen, lengths, guesses)
     values, scale = _as_float(chosen.load().transpose([order.index(axis) for axis in AXES]))
+    if wavelengths is None and not found and "colours" in chosen.attrs:
+        raise ValueError("it is a picture in red, green and blue; say wavelengths= if they are bands of a datacube")
     if wavelengths is None:
         wavelengths = _find_wavelengths(variables, found, len(values), guesses)
     cube = label(values, band_centres(wavelengths, len(values)), name)
-    if scale:
-        cube.attrs["scale"] = scale
+    if scale or "scale" in chosen.attrs:
+        cube.attrs["scale"] = scale or chosen.attrs["scale"]
     return cube, guesses
 
 
@@ -143,7 +145,7 @@ def _wavelength_variables(variables: Mapping[str, Variable]) -> list[str]:
         if _WAVELENGTH_NAME.search(name)
         and _is_real(one)
         and 1 <= len(one.shape) <= 2
-        and 2 <= max(one.shape) == np.prod(one.shape)
+        and (2 if name != "wavelength" else 1) <= max(one.shape) == np.prod(one.shape)
     ]
 
 
@@ -153,7 +155,10 @@ def _find_wavelengths(
     for name in sorted(found, key=lambda one: one != "wavelength"):
         if int(np.prod(variables[name].shape)) != bands:
             continue
-        centres, unit = _in_nm(np.asarray(variables[name].load(), np.float64).ravel())
+        values = np.asarray(variables[name].load(), np.float64).ravel()
+        if name == "wavelength" and variables[name].attrs.get("units") == "nm":
+            return values
+        centres, unit = _in_nm(values)
         if centres is not None:
             if name != "wavelength" or unit != "nm":
                 guesses.append(f"wavelengths from '{name}' in {unit} ({centres[0]:g} to {centres[-1]:g} nm)")

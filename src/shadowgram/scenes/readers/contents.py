@@ -35,6 +35,14 @@ class Variable:
         return self.problem or f"{size} {self.dtype}"
 
 
+@dataclass(frozen=True, eq=False)
+class Contents:
+    """The variables of a file by name, and what its reader has to say about them, which may grow as they are loaded."""
+
+    variables: Mapping[str, Variable]
+    notes: list[str] = field(default_factory=list)
+
+
 def unreadable(problem: str) -> Variable:
     """A variable that is there but cannot be read, and why."""
 

@@ -13,15 +13,14 @@ import xarray as xr
 
 from shadowgram.scenes.datacube import AXES, band_centres, check_cube
 
-from .atomic import replace_file
+from .atomic import replace_file, replace_files
 from .choose import choose_cube, list_contents, parse_axes
-from .contents import Variable
-from .mat5 import mat5_bytes, mat5_variables
-from .numpy_files import MAGIC as NPY_MAGIC
-from .numpy_files import npy_bytes, npy_variables, npz_bytes, npz_variables
-
-_HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-_FORMATS = "native or NetCDF-4 (.nc), MATLAB 5 to 7.3 (.mat), NumPy (.npy, .npz)"
+from .envi import data_files, envi_parts
+from .mat5 import mat5_bytes
+from .numpy_files import npy_bytes, npz_bytes
+from .opened import check_file, dataset_variables, file_kind, opened
+from .png_folder import write_folder
+from .tiff_writer import ome_tiff
 
 
 def read(
@@ -31,7 +30,7 @@ def read(
     axes: str | Sequence[str] | None = None,
     wavelengths: Sequence[float] | np.ndarray | None = None,
 ) -> xr.DataArray:
-    """Read a datacube: native or NetCDF-4, MATLAB 5 to 7.3, `.npy` or `.npz`, told apart by their contents.
+    """Read a datacube: native, NetCDF-4, MATLAB, NumPy, ENVI, TIFF or a folder of PNG, told apart by their contents.
 
     A native file comes back as it was written. From others, images of 8 and 16 bits (uint8, uint16) are divided by
     their full scale, 255 or 65535, which is kept as the attribute `scale`; other whole numbers become float32, and
@@ -40,12 +39,14 @@ def read(
 
     Parameters
     ----------
-    path : the file.
+    path : the file; of ENVI the header or the data; or a folder with a grey PNG picture a band, `ms_01.png`, …, or
+        `scene_450nm.png`, … Of a TIFF file, the bands are the pages, or the samples of a single page.
     variable : name of the cube in the file; else the only one with three axes.
     axes : order of the axes in the file, "y,x,band" or ("y", "x", "band"); else what the file says, or the shortest
         axis is taken for the bands. MATLAB's order is the one that MATLAB shows.
     wavelengths : nm. The centre of each band, or of the first and the last; else what the file says, or a variable with
-        a name like `wavelength_nm`, `lambda` or `bands`, or 400 to 700 nm.
+        a name like `wavelength_nm`, `lambda` or `bands`, or 400 to 700 nm. ENVI headers, OME-TIFF and names of pictures
+        say them, too.
 
     Returns
     -------
@@ -55,14 +56,15 @@ def read(
     Warns
     -----
     UserWarning
-        If something had to be guessed; it says what, in the words in which it can be said.
+        If something had to be guessed; it says what, in the words in which it can be said. Also if the file marks bands
+        as bad, which are kept, or values as missing, which become 0; and if something that it says was left out.
 
     Raises
     ------
     ValueError
         If the file is damaged, of no known format, does not hold the variable, or holds no cube of finite numbers.
     OSError
-        If there is no such file, or it cannot be opened.
+        If there is no such file, it cannot be opened, or an ENVI header has no data file.
 
     Examples
     --------
@@ -74,17 +76,20 @@ def read(
     array([450., 550., 650.])
     """
     path = Path(path)
-    _check_file(path)
+    check_file(path, folder=True)
+    notes: list[str] = []
     try:
-        kind = _kind(path)
-        if kind == "hdf5":
-            cube, guesses = _read_hdf5(path, variable, axes, wavelengths)
+        if path.is_file() and file_kind(path) == "hdf5" and (ds := _intact(path)) is not None:
+            cube, guesses = _stored_cube(ds, variable, axes, wavelengths), []
         else:
-            variables = {"mat5": mat5_variables, "npy": npy_variables, "npz": npz_variables}[kind](path)
-            cube, guesses = choose_cube(variables, variable, axes, wavelengths)
+            with opened(path, wavelengths_said=wavelengths is not None) as contents:
+                cube, guesses = choose_cube(contents.variables, variable, axes, wavelengths)
+                notes = contents.notes
         check_cube(cube)
     except ValueError as error:
         raise ValueError(f"cannot read {path}: {error}") from error
+    if notes:
+        warnings.warn(f"{path.name}: {'; '.join(notes)}", stacklevel=2)
     if guesses:
         warnings.warn(f"{path.name}: guessed {'; '.join(guesses)}. Pass to read what is otherwise", stacklevel=2)
     return cube
@@ -98,12 +103,18 @@ def write(cube: xr.DataArray, path: str | os.PathLike[str]) -> None:
     ``.npz``  values (band, y, x), `wavelength` in nm and the order of the axes; no other coordinates, no attributes
     ``.mat``  MATLAB 5: values (y, x, band), `wavelength` in nm and the order of the axes; no attributes
     ``.npy``  values (band, y, x) and nothing else
+    ``.hdr``  ENVI: values (band, y, x) in a file ``.dat`` beside it, and `wavelength` in nm; no attributes
+    ``.tif``  OME-TIFF (also ``.tiff``): a page a band, and `wavelength` in nm; no attributes
+    (none)    a new folder with a PNG picture a band, its number and wavelength in the name: values in [0, 1] as 16
+              bits, whole numbers of 8 or 16 bits as they are
     ========  =====================================================================================================
+
+    Types that a format does not have, such as bool in most of them, become floats.
 
     Parameters
     ----------
     cube : (band, y, x) finite real numbers.
-    path : the file.
+    path : the file, or for PNG pictures the folder.
 
     Raises
     ------
@@ -133,53 +144,26 @@ def write(cube: xr.DataArray, path: str | os.PathLike[str]) -> None:
         replace_file(path, [mat5_bytes(_named_arrays(cube, ("y", "x", "band")))])
     elif suffix == ".npy":
         replace_file(path, [npy_bytes(cube.values)])
+    elif suffix == ".hdr":
+        _write_envi(cube, Path(path))
+    elif suffix in (".tif", ".tiff"):
+        replace_file(path, ome_tiff(cube.values, _centres(cube), _plain_name(cube)))
+    elif not suffix and Path(path).name:
+        try:
+            write_folder(cube.values, _centres(cube), _plain_name(cube), path)
+        except ValueError as error:
+            raise ValueError(f"cannot write {path}: {error}") from error
     else:
-        raise ValueError(f"cannot write {path}: its name must end with .nc, .mat, .npz or .npy")
+        raise ValueError(
+            f"cannot write {path}: its name must end with .nc, .mat, .npz, .npy, .hdr or .tif, "
+            "or have no ending for a folder of PNG pictures"
+        )
 
 
-def _check_file(path: Path) -> None:
-    if path.is_dir():
-        raise IsADirectoryError(f"{path} is a folder; give a file in it")
-    if not path.exists():
-        raise FileNotFoundError(f"there is no file {path}")
-    if not path.is_file():
-        raise OSError(f"{path} is not a file")
+def _intact(path: Path) -> xr.Dataset | None:
+    from .native import read_intact
 
-
-def _kind(path: Path) -> str:
-    with path.open("rb") as file:
-        head = file.read(520)
-    if not head:
-        raise ValueError("it is empty")
-    # MATLAB 7.3 puts 512 bytes of its own before the HDF5 file.
-    if head.startswith(_HDF5_MAGIC) or head[512:] == _HDF5_MAGIC:
-        return "hdf5"
-    if head.startswith(NPY_MAGIC):
-        return "npy"
-    if head.startswith((b"PK\x03\x04", b"PK\x05\x06")):
-        return "npz"
-    if head[124:128] in (b"\x00\x01IM", b"\x01\x00MI"):
-        return "mat5"
-    if head.startswith(b"CDF"):
-        raise ValueError("it is a classic NetCDF file; convert it with `nccopy -k netCDF-4 IN OUT`")
-    raise ValueError(f"it does not begin like a file of a known format ({_FORMATS}), or its beginning is damaged")
-
-
-def _read_hdf5(
-    path: Path,
-    variable: str | None,
-    axes: str | Sequence[str] | None,
-    wavelengths: Sequence[float] | np.ndarray | None,
-) -> tuple[xr.DataArray, list[str]]:
-    from .hdf5_isolated import isolated
-    from .native import check_provenance, read_intact
-
-    ds = read_intact(path)
-    if ds is not None:
-        return _stored_cube(ds, variable, axes, wavelengths), []
-    with isolated(path) as listing:
-        check_provenance(listing)
-        return choose_cube(listing.variables, variable, axes, wavelengths)
+    return read_intact(path)
 
 
 def _stored_cube(
@@ -192,10 +176,7 @@ def _stored_cube(
     names = [name for name, one in ds.data_vars.items() if set(one.dims) == set(AXES)]
     if variable is None and len(names) == 1:
         variable = str(names[0])
-    contents = {
-        str(name): Variable(one.shape, one.dtype, lambda: np.empty(0), tuple(map(str, one.dims)))
-        for name, one in ds.data_vars.items()
-    }
+    contents = dataset_variables(ds)
     if variable is None or variable not in contents:
         wanted = "several datacubes in it; say which with variable=" if names else "no datacube in it"
         raise ValueError(
@@ -210,12 +191,31 @@ def _stored_cube(
     return cube
 
 
-def _named_arrays(cube: xr.DataArray, axes: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """What goes into a file that is a set of named arrays."""
+def _write_envi(cube: xr.DataArray, header: Path) -> None:
+    data = header.with_suffix(".dat")
+    for other in data_files(header):
+        if other != data:
+            raise ValueError(f"cannot write {header}: {other.name} would be taken for its data; choose another name")
+    values, text = envi_parts(cube.values, _centres(cube), _plain_name(cube))
+    replace_files([(data, [values.reshape(-1).view(np.uint8).data]), (header, [text])])
+
+
+def _centres(cube: xr.DataArray) -> np.ndarray | None:
+    """Wavelengths (band,) in nm, None where the cube has none; checked, as they may have been changed."""
+    return band_centres(cube.wavelength.values, cube.sizes["band"]) if "wavelength" in cube.coords else None
+
+
+def _plain_name(cube: xr.DataArray) -> str:
+    """The cube's name, or `datacube` where it has none or one that is no plain word."""
     name = str(cube.name)
     if cube.name is None or name in ("axes", "wavelength") or not re.fullmatch(r"[A-Za-z]\w{0,30}", name, re.ASCII):
-        name = "datacube"
-    arrays = {name: cube.transpose(*axes).values, "axes": np.array(",".join(axes))}
+        return "datacube"
+    return name
+
+
+def _named_arrays(cube: xr.DataArray, axes: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """What goes into a file that is a set of named arrays."""
+    arrays = {_plain_name(cube): cube.transpose(*axes).values, "axes": np.array(",".join(axes))}
     if "wavelength" in cube.coords:
         arrays["wavelength"] = cube.wavelength.values
     return arrays

@@ -12,7 +12,8 @@ import hashlib
 import io
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
@@ -26,14 +27,25 @@ from .hdf5_isolated import Listing, isolated
 
 MAGIC = b"\x89shadowgram sha-256 v1\r\n"
 TRAILER = 64
+IN_MEMORY = 2**28  # bytes of a dataset whose file is made in memory; that of a larger one is made on the disk
 _CHUNK_BYTES = 2**20
 _DIMENSION_ONLY = b"This is a netCDF dimension but not a netCDF variable"
+Rows = Callable[[int, int], np.ndarray]
 _RESERVED = frozenset(
     {
         *("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "coordinates", "_FillValue"),
         *("_NCProperties", "_Netcdf4Coordinates", "_Netcdf4Dimid", "_nc3_strict"),
     }
 )
+
+
+@dataclass(frozen=True)
+class Streamed:
+    """A variable whose values come as rows(start, stop) along one of its axes."""
+
+    variable: str
+    axis: str
+    rows: Rows
 
 
 def write_dataset(ds: xr.Dataset, path: str | os.PathLike[str]) -> None:
@@ -64,9 +76,13 @@ def write_dataset(ds: xr.Dataset, path: str | os.PathLike[str]) -> None:
     >>> read_dataset(path).identical(shots)
     True
     """
+    if ds.nbytes > IN_MEMORY:
+        from .native_parts import write_on_disk
+
+        write_on_disk(ds, path)
+        return
     image = _image(ds)
-    digest = hashlib.sha256(image).digest()
-    replace_file(path, [image, MAGIC + len(image).to_bytes(8, "little") + digest])
+    replace_file(path, [image, trailer(len(image), hashlib.sha256(image).digest())])
 
 
 def read_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
@@ -94,32 +110,42 @@ def read_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
 def read_intact(path: Path) -> xr.Dataset | None:
     """All of a file with a right checksum; None where it has none; a wrong one is a `ValueError`."""
     with path.open("rb") as file:
-        if not _is_intact(file):
+        if not is_intact(file):
             return None
         with h5py.File(file, "r") as opened:
-            return _dataset(opened)
+            return stored_dataset(opened)
 
 
-def _is_intact(file: IO[bytes]) -> bool:
+def is_intact(file: IO[bytes]) -> bool:
     """Whether the file ends with a checksum (False: other software wrote it); damage is a `ValueError`."""
     size = file.seek(0, io.SEEK_END)
     file.seek(max(size - TRAILER, 0))
-    trailer = file.read(TRAILER)
+    found = file.read(TRAILER)
     file.seek(0)
-    if not trailer.startswith(MAGIC):
+    if not found.startswith(MAGIC):
         return False
-    sha = hashlib.sha256()
-    left = size - TRAILER
-    block = memoryview(bytearray(2**20))
-    while left and (count := file.readinto(block[: min(left, len(block))])):  # pyright: ignore[reportAttributeAccessIssue]
-        sha.update(block[:count])
-        left -= count
+    right = trailer(size - TRAILER, digest(file, size - TRAILER))
     file.seek(0)
-    if trailer[len(MAGIC) :] != (size - TRAILER).to_bytes(8, "little") + sha.digest():
+    if found != right:
         raise ValueError(
             "it is damaged, or other software changed it: its contents do not match the checksum at its end"
         )
     return True
+
+
+def digest(file: IO[bytes], left: int) -> bytes:
+    """SHA-256 of the next `left` bytes."""
+    sha = hashlib.sha256()
+    block = memoryview(bytearray(2**20))
+    while left and (count := file.readinto(block[: min(left, len(block))])):  # pyright: ignore[reportAttributeAccessIssue]
+        sha.update(block[:count])
+        left -= count
+    return sha.digest()
+
+
+def trailer(size: int, digest: bytes) -> bytes:
+    """The last bytes of a native file whose HDF5 file has this size and SHA-256 digest."""
+    return MAGIC + size.to_bytes(8, "little") + digest
 
 
 def check_provenance(listing: Listing) -> None:
@@ -133,8 +159,14 @@ def check_provenance(listing: Listing) -> None:
 
 def _image(ds: xr.Dataset) -> memoryview:
     """The bytes of the NetCDF-4 file, made in memory: then the disk is written in one way for all formats."""
-    _check_names(ds)
     buffer = io.BytesIO()
+    fill(buffer, ds, None)
+    return buffer.getbuffer()
+
+
+def fill(buffer: IO[bytes] | io.RawIOBase, ds: xr.Dataset, streamed: Streamed | None) -> None:
+    """Write the NetCDF-4 file, without the trailer, into an empty file that can be read and written."""
+    _check_names(ds)
     with h5netcdf.File(buffer, "w", libver="v110") as file:
         file.dimensions = {str(name): size for name, size in ds.sizes.items()}
         covered: set[str] = set()
@@ -143,7 +175,8 @@ def _image(ds: xr.Dataset) -> memoryview:
             if name not in ds.coords and (names := _coordinates_along(ds, variable)):
                 attrs["coordinates"] = " ".join(names)
                 covered.update(names)
-            _add_variable(file, str(name), variable, attrs)
+            given = streamed if streamed is not None and name == streamed.variable else None
+            _add_variable(file, str(name), variable, attrs, given)
         file.attrs.update(_attributes(ds.attrs, "the dataset"))
         if names := [str(name) for name in ds.coords if name not in ds.sizes and name not in covered]:
             file.attrs["coordinates"] = " ".join(names)
@@ -152,7 +185,6 @@ def _image(ds: xr.Dataset) -> memoryview:
         # and no checksum is damaged.
         made = f"version=2,shadowgram=1,h5netcdf={h5netcdf.__version__},hdf5={h5py.version.hdf5_version}"
         file.attrs["_NCProperties"] = np.bytes_(made)
-    return buffer.getbuffer()
 
 
 def _check_names(ds: xr.Dataset) -> None:
@@ -169,7 +201,9 @@ def _coordinates_along(ds: xr.Dataset, variable: xr.Variable) -> list[str]:
     return [str(name) for name, c in ds.coords.items() if name not in ds.sizes and set(c.dims) <= set(variable.dims)]
 
 
-def _add_variable(file: h5netcdf.File, name: str, variable: xr.Variable, attrs: dict[str, object]) -> None:
+def _add_variable(
+    file: h5netcdf.File, name: str, variable: xr.Variable, attrs: dict[str, object], streamed: Streamed | None
+) -> None:
     values = np.asarray(variable.values)
     if values.dtype.kind not in "fiub" or values.dtype.itemsize not in (1, 2, 4, 8) or values.dtype == np.float16:
         raise ValueError(f"'{name}' holds {values.dtype}; a file keeps float32, float64, whole numbers and bool")
@@ -179,17 +213,45 @@ def _add_variable(file: h5netcdf.File, name: str, variable: xr.Variable, attrs: 
         raise ValueError(f"attribute 'dtype' of '{name}' says bool but it holds {values.dtype}; remove the attribute")
     options: dict[str, object] = {"fletcher32": True, "chunks": _chunks(values)} if values.ndim else {}
     stored = file.create_variable(name, tuple(map(str, variable.dims)), values.dtype, **options)
-    stored[...] = values
+    if streamed is None:
+        stored[...] = values
+    else:
+        _store_rows(stored, values, variable.dims.index(streamed.axis), streamed.rows)
     stored.attrs.update(attrs)
 
 
+def _store_rows(stored: h5netcdf.Variable, like: np.ndarray, axis: int, rows: Rows) -> None:
+    """Fill a variable by whole chunks, which are then written once."""
+    length, step = like.shape[axis], _chunks(like)[axis]
+    for start in range(0, length, step):
+        stop = min(start + step, length)
+        block = np.asarray(rows(start, stop))
+        wanted = (*like.shape[:axis], stop - start, *like.shape[axis + 1 :])
+        if block.shape != wanted:
+            raise ValueError(f"rows {start} to {stop} must have the shape {wanted}, got {block.shape}")
+        stored[(slice(None),) * axis + (slice(start, stop),)] = block
+
+
 def _chunks(values: np.ndarray) -> tuple[int, ...]:
-    """Whole trailing axes in pieces of about a MB; HDF5 checks one checksum for each piece."""
+    """Whole trailing axes in even pieces of up to a MB; HDF5 checks one checksum for each piece, and stores the last one whole."""
     chunks = list(values.shape)
-    for axis in range(len(chunks)):
+    for axis, length in enumerate(values.shape):
         others = values.itemsize * int(np.prod(chunks)) // chunks[axis]
-        chunks[axis] = min(chunks[axis], max(1, _CHUNK_BYTES // others))
+        pieces = -(-length // max(1, _CHUNK_BYTES // others))
+        chunks[axis] = -(-length // pieces)
     return tuple(chunks)
+
+
+def stored_bytes(ds: xr.Dataset) -> int:
+    """About as many bytes as the file has, or some more."""
+    _check_names(ds)
+    total = 2**20
+    for variable in ds.variables.values():
+        chunks = _chunks(variable.values) if variable.ndim else ()
+        counts = [-(-length // chunk) for length, chunk in zip(variable.shape, chunks, strict=True)]
+        # A checksum, and its place in the index, for each chunk.
+        total += int(np.prod(counts)) * (variable.dtype.itemsize * int(np.prod(chunks)) + 128)
+    return total
 
 
 def _attributes(attrs: dict, owner: str) -> dict[str, object]:
@@ -211,16 +273,24 @@ def _is_plain(numbers: np.ndarray) -> bool:
     return numbers.dtype.kind in "fiu" and numbers.dtype != np.float16 and numbers.ndim <= 1 and numbers.size > 0
 
 
-def _dataset(file: h5py.File) -> xr.Dataset:
-    """The dataset in a file whose checksum was right."""
+def stored_dataset(file: h5py.File, part: Mapping[str, slice] | None = None) -> xr.Dataset:
+    """The dataset in a file whose checksum was right, or a part of it."""
     variables = {
-        name: _variable(_dimensions(name, item), item[...], _kept(item.attrs))
+        name: _variable(dims := _dimensions(name, item), item[_index(item, dims, part or {})], _kept(item.attrs))
         for name, item in file.items()
         if not bytes(item.attrs.get("NAME", b"")).startswith(_DIMENSION_ONLY)
     }
     attrs = _kept(file.attrs)
     names = _take_coordinates(attrs, *(variable.attrs for variable in variables.values()))
     return xr.Dataset(variables, attrs=attrs).set_coords(names)
+
+
+def _index(item: h5py.Dataset, dims: tuple[str, ...], part: Mapping[str, slice]) -> Any:
+    for dim, size in zip(dims, item.shape, strict=True):
+        cut = part.get(dim)
+        if cut is not None and not 0 <= cut.start < cut.stop <= size:
+            raise ValueError(f"axis '{dim}' has the length {size}; there is no part from {cut.start} to {cut.stop}")
+    return tuple(part.get(dim, slice(None)) for dim in dims) or ...
 
 
 def _variable(dims: tuple[str, ...], values: np.ndarray, attrs: dict[str, object]) -> xr.Variable:
