@@ -9,6 +9,12 @@ from .sensing import isometry as isometry
 from .sensing import pixel_groups as pixel_groups
 from .sensing import sensed as sensed
 from .sensing import singular_values as singular_values
+from .spectral_response import SpectralResponse as SpectralResponse
+from .stacking import Stack as Stack
+from .stacking import stack as stack
 from .structure import norm as norm
 from .structure import shot_gram as shot_gram
+from .torch_adapter import as_deepinv as as_deepinv
+from .torch_adapter import as_torch as as_torch
+from .torch_adapter import from_torch as from_torch
 from .transforms import basis as basis

@@ -31,6 +31,35 @@ def shot_gram(A: LinearOperator) -> np.ndarray | None:  # noqa: ARG001 - the gen
     return None
 
 
+def pixel_gram(A: LinearOperator) -> np.ndarray | None:
+    """H Hᵀ per detector element of an operator whose elements see one pixel of the scene each, found by applying it.
+
+    Such an operator is g[q, y, x] = Σ_k c[q, k, y, x] f[k, y, x]; a scene that is 1 in band k and 0 elsewhere shows c of that band.
+
+    Parameters
+    ----------
+    A : operator (band, y, x) → (shot, y, x).
+
+    Returns
+    -------
+    (shot, shot, y, x) float64 array Σ_k c[q, k] c[r, k], or None if a random scene shows that A is not of that form.
+    """
+    if A.in_shape[1:] != A.out_shape[1:]:
+        return None
+    scene = np.random.default_rng(0).standard_normal(A.in_shape)
+    one_band, seen = np.zeros(A.in_shape), np.zeros(A.out_shape)
+    gram = np.zeros((A.out_shape[0], *A.out_shape))
+    for k in range(A.in_shape[0]):
+        one_band[k] = 1
+        weights = A.forward(one_band)
+        one_band[k] = 0
+        seen += weights * scene[k]
+        gram += weights[:, None] * weights[None]
+    # Anything else would differ by about as much as the images themselves.
+    wrong = np.abs(A.forward(scene) - seen).max(initial=0.0)
+    return gram if wrong <= 1e-6 * np.abs(seen).max(initial=0.0) else None
+
+
 def norm(A: LinearOperator) -> float:
     """Largest singular value of `A`: exact where `shot_gram` is known, else by power iteration (to about 1 %, from below).
 
