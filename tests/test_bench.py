@@ -136,7 +136,7 @@ def test_run_and_table():
     results = run.run(TINY, ("operators", "basis", "iteration", "reconstruction", "codes"), None, steps.append)
     assert steps == ["machine", "operators", "basis", "iteration", "reconstruction", "codes"]
     cases = [record["case"] for record in results.cases]
-    assert len(cases) == len(set(cases)) == 19
+    assert len(cases) == len(set(cases)) == 23
     assert set(peers.CASES) <= set(cases)
     text = "\n".join(table.lines(results))
     assert all(case in text for case in cases)

@@ -12,11 +12,15 @@ from . import xray as xray
 from ._threads import threads as threads
 from .operators.base import LinearOperator as LinearOperator
 from .solvers.admm import ADMM as ADMM
+from .solvers.admm_tv import ADMMTV as ADMMTV
+from .solvers.eigen_pnp import EigenPnP as EigenPnP
 from .solvers.eigen_tv import EigenTV as EigenTV
 from .solvers.fista import FISTA as FISTA
+from .solvers.gap_tv import GAPTV as GAPTV
 from .solvers.gpsr import GPSR as GPSR
 from .solvers.solution import Solution as Solution
 from .solvers.solution import solve as solve
+from .solvers.twist import TwIST as TwIST
 from .spectral.cassi import CASSI as CASSI
 from .spectral.cassi import DualCASSI as DualCASSI
 from .spectral.colored import ColoredCASSI as ColoredCASSI

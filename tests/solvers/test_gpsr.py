@@ -10,7 +10,7 @@ import shadowgram as sg
 from shadowgram.operators import as_matrix, basis
 from shadowgram.operators.base import LinearOperator
 from shadowgram.solvers._sparse import path
-from shadowgram.solvers.gpsr import search_tau
+from shadowgram.solvers.tau_search import search_tau
 
 
 @dataclass(frozen=True, eq=False)

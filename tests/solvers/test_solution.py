@@ -13,7 +13,7 @@ def small_problem(dtype=np.float32):
     return H, H.forward(np.random.default_rng(0).random(H.in_shape).astype(dtype))
 
 
-SOLVERS = [sg.GPSR(max_iter=8), sg.FISTA(max_iter=8)]
+SOLVERS = [sg.GPSR(max_iter=8), sg.FISTA(max_iter=8), sg.TwIST(max_iter=8)]
 
 
 @pytest.mark.parametrize("solver", SOLVERS, ids=lambda s: type(s).__name__)

@@ -161,7 +161,7 @@ class LocalWorkers(_Dask):
                     n_workers=self._count,
                     threads_per_worker=1,
                     host="127.0.0.1",
-                    dashboard_address=None,  # type: ignore[arg-type]  # as documented: none
+                    dashboard_address="127.0.0.1:0",  # there is always one, and None means a port that may be taken
                     memory_limit=0,  # the system knows better when memory is short
                     local_directory=scratch,
                     silence_logs=logging.CRITICAL,

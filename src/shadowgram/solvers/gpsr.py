@@ -16,8 +16,7 @@ intermediate τ are left after one small step, the last after a mean over severa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -37,14 +36,11 @@ from ._sparse import (
     settled,
     square,
 )
-from .solution import Callback, Solution, TauTrial, check_problem, solve
+from .solution import Callback, Solution, check_problem, solve
+from .tau_search import Path, begin
 
 # Of the gradient's norm on the support, where debiasing stops (the squared norm falls by 1e-4, as in the authors' program).
 DEBIASED = 1e-2
-
-
-# Best values on real cubes were 1e-5 to 3e-5 without noise; noise asks for more.
-SEARCHED = tuple(float(f"{tau:.1e}") for tau in np.geomspace(1e-2, 1e-6, 13))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +95,7 @@ def _(spec: GPSR, H: LinearOperator, y: np.ndarray, callback: Callback | None = 
     state = _State(SparseProblem.of(H, spec.basis, spec.levels, y))
     converged = interrupted = False
     try:
-        converged = state.follow(spec, spec.tau, 1.0, record)
+        converged = state.follow(spec, 1.0, record)
         if spec.debias:
             state.debias(spec.max_iter, record)
     except KeyboardInterrupt:
@@ -107,75 +103,11 @@ def _(spec: GPSR, H: LinearOperator, y: np.ndarray, callback: Callback | None = 
     return record.solution(state.problem.cube(state.theta), converged, interrupted)
 
 
-def search_tau(
-    spec: GPSR,
-    H: LinearOperator,
-    y: np.ndarray,
-    score: Callable[[np.ndarray], float],
-    taus: Iterable[float] = SEARCHED,
-    callback: Callback | None = None,
-) -> tuple[Solution, tuple[TauTrial, ...]]:
-    """Reconstruct for a descending series of τ, each starting from the one before, and keep what scores best.
-
-    A tool for studies: a `score` such as the PSNR compares with the truth, which a camera does not have. "τ chosen for the best
-    PSNR" in the literature means this; the solution says so in its `tau_search`. The search costs two to three single runs.
-
-    Parameters
-    ----------
-    spec : its `tau` is not used; `max_iter` holds for each τ. The result is not debiased.
-    H, y, callback : as in `solve`.
-    score : called with every estimate x (band, y, x), which it must not keep; larger is better.
-    taus : relative weights to try, in any order; larger ones are tried first. The search ends early once two in a row score
-        worse than the best.
-
-    Returns
-    -------
-    (Solution, table)
-        The best one, with the history of the whole search, and its `tau_search` table.
-
-    Raises
-    ------
-    ValueError
-        If there is nothing to try, `spec` asks for debiasing, or as in `solve`.
-
-    Examples
-    --------
-    >>> import shadowgram as sg
-    >>> from shadowgram.solvers.gpsr import search_tau
-    >>> cube = sg.scenes.chart(size=32, bands=4, seed=0).values
-    >>> imager = sg.DualCASSI(cube_shape=cube.shape, wavelengths=(450, 650))
-    >>> H = imager.operator(sg.codes.boolean(shots=2, shape=imager.code_shape, seed=0))
-    >>> best, table = search_tau(sg.GPSR(), H, H.forward(cube), lambda x: sg.metrics.psnr(x, cube, peak=1.0))
-    >>> max(trial.score for trial in table) == sg.metrics.psnr(best.x, cube, peak=1.0)
-    True
-    """
-    tried = sorted((replace(spec, tau=tau) for tau in taus), key=lambda one: -one.tau)
-    if not tried:
-        raise ValueError("search_tau needs at least one tau to try")
+@begin.register
+def _(spec: GPSR, H: LinearOperator, y: np.ndarray) -> Path:
     if spec.debias:
         raise ValueError("search_tau scores what GPSR finds before debiasing; set debias=False")
-    y = check_problem(H, y)
-    record = Record(callback)
-    state = _State(SparseProblem.of(H, spec.basis, spec.levels, y))
-    table: list[TauTrial] = []
-    best, kept, interrupted, above = -1, None, False, 1.0
-    try:
-        for one in tried:
-            begun = record.iterations
-            converged = state.follow(one, one.tau, above, record)
-            x = state.problem.cube(state.theta)
-            table.append(TauTrial(one.tau, float(score(x)), record.iterations - begun, converged))
-            if kept is None or table[-1].score > table[best].score:
-                best, kept = len(table) - 1, x.copy()
-            elif len(table) - 1 - best == 2:
-                break
-            above = one.tau
-    except KeyboardInterrupt:
-        interrupted = True
-    if kept is None:  # interrupted before the first score
-        return record.solution(state.problem.cube(state.theta), False, interrupted), ()
-    found = record.solution(kept, table[best].converged, interrupted)
-    return replace(found, tau_search=tuple(table)), tuple(table)
+    return _State(SparseProblem.of(H, spec.basis, spec.levels, y))
 
 
 class _State:
@@ -197,11 +129,11 @@ class _State:
         self.problem.forward(self.gradient, self.change)
         return square(self.gradient) / max(square(self.change), np.finfo(float).tiny)
 
-    def follow(self, spec: GPSR, tau: float, above: float, record: Record) -> bool:
-        """Minimise for relative weights from `above` down to `tau`; whether the last one met the criterion."""
+    def follow(self, spec: GPSR, above: float, record: Record) -> bool:
+        """Minimise for relative weights from `above` down to that of `spec`; whether the last one met the criterion."""
         if self.highest == 0:
             return True  # nothing was seen: 0 is the solution
-        *rough, last = path(tau, above, spec.continuation)
+        *rough, last = path(spec.tau, above, spec.continuation)
         begun = record.iterations
         for weight in rough:
             self._minimise(weight * self.highest, ROUGH, 1, spec.max_iter // (2 * len(rough)), record)

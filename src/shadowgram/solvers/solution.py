@@ -13,6 +13,8 @@ import numpy as np
 
 from shadowgram.operators.base import LinearOperator
 
+from .whiteness import Whiteness
+
 Callback = Callable[[int, dict[str, float]], None]
 
 
@@ -39,6 +41,9 @@ class Solution:
     interrupted : whether Ctrl-C ended it; `x` is then the best estimate so far.
     seconds : wall time.
     tau_search : what was tried, if the regularisation weight was chosen by comparing with the truth; empty otherwise.
+    whiteness : how white the residual Hx − y is, from `EigenTV` and `EigenPnP`; a correlation far from 0 says that the model is
+        wrong, or that the prior smoothed details away. None from the other solvers (see `residual_whiteness`).
+    denoised : whether `EigenPnP` used its denoiser; None from the other solvers.
     """
 
     x: np.ndarray
@@ -48,6 +53,8 @@ class Solution:
     interrupted: bool = False
     seconds: float = 0.0
     tau_search: tuple[TauTrial, ...] = ()
+    whiteness: Whiteness | None = None
+    denoised: bool | None = None
 
 
 @singledispatch
@@ -56,7 +63,8 @@ def solve(spec: object, H: LinearOperator, y: np.ndarray, callback: Callback | N
 
     Parameters
     ----------
-    spec : ``GPSR(...)``, ``FISTA(...)``, ``EigenTV(...)`` or ``ADMM(...)``.
+    spec : ``EigenTV(...)``, ``EigenPnP(...)``, ``GPSR(...)``, ``FISTA(...)``, ``TwIST(...)``, ``GAPTV(...)``, ``ADMMTV(...)`` or
+        ``ADMM(...)``.
     H : the forward model, e.g. ``imager.operator(code)``.
     y : snapshots of `H.out_shape`, e.g. (shot, y, x). float32 and integers are solved in float32, float64 in float64.
     callback : called as ``callback(iteration, values)`` after every iteration, with the newest values of the history.

@@ -74,25 +74,26 @@ def measure(solver: str, spec: BenchSpec) -> Memory:
         H, y, truth = problem(spec, spec.size)
         cube = truth.nbytes
         del truth
-        before = _resident()
+        before = resident()
         solve(chosen, H, y)
-        resident = max(0, _peak_resident() - before)
+        risen = max(0, peak_resident() - before)
         tracemalloc.start()  # in a second run: it takes memory itself
         solve(chosen, H, y)
         traced = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
-    return Memory(case=solver, cube_mb=cube / 1e6, traced_cubes=traced / cube, resident_cubes=resident / cube)
+    return Memory(case=solver, cube_mb=cube / 1e6, traced_cubes=traced / cube, resident_cubes=risen / cube)
 
 
-def _resident() -> int:
-    """Bytes resident now; from here on `_peak_resident` begins anew, where the system lets it."""
+def resident() -> int:
+    """Bytes resident now; from here on `peak_resident` begins anew, where the system lets it."""
     if not STATUS.exists():
-        return _peak_resident()
+        return peak_resident()
     Path("/proc/self/clear_refs").write_text("5")
     return _status("VmRSS")
 
 
-def _peak_resident() -> int:
+def peak_resident() -> int:
+    """Bytes resident at most."""
     # A child's ru_maxrss begins with what its parent held when it forked; VmHWM is its own.
     return _status("VmHWM") if STATUS.exists() else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 

@@ -77,6 +77,7 @@ def run(spec: BenchSpec, groups: Iterable[str], peers_python: str | None, step: 
             results.peers = [peer.record() for peer in peers.compare(spec, rows, peers_python)]
             results.peers += transport.compare(rows, peers_python)
             results.peers += denoisers.compare(rows, peers_python)
+            results.peers += solvers.compare(spec, rows, peers_python)
     return results
 
 
@@ -92,7 +93,7 @@ def _run_group(name: str, results: Results, rows: dict[str, Row]) -> None:
         cases = {
             "operators": operators.operator_cases,
             "basis": operators.basis_cases,
-            "iteration": solvers.iteration_case,
+            "iteration": solvers.iteration_cases,
             "reconstruction": solvers.reconstruction_cases,
             "codes": codes.design_cases,
             "transport": transport.transport_cases,

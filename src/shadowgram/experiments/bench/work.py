@@ -10,6 +10,8 @@ SSCSI              cube 4V, snapshots 4QN², one mask bit a shot (L+2)N²·⌈Q/
 SSCSI, gray        cube 4V, snapshots 4QN², code 4QN²                          2QJV: J columns are weighed for every shot
 CASSI, colored     cube 4V, snapshots 4QN(N+L−1), code QN² or QV               2QV, of higher order (2Q + 2J)V for J pixels
 basis, one way     cube 8V (read and write)                                    wavelet 16·2·4/3 V, DCT (L+1)V
+GAP-TV iteration   operator both ways, and 28V: estimate and two duals, read   those, 21V a step of the denoising, 12V around it,
+                   and written once, correction read; inverses of HHᵀ 4Q²N²    2Q²N² for the products with the inverses
 GPSR iteration     operator and basis both ways, and 24V: coefficients,        those, and 20V for the two positive parts, their
                    direction and gradient, read and written once               step, the line search and the gradient
 =================  ==========================================================  ==============================================
@@ -71,3 +73,11 @@ def gpsr_iteration(bands: int, size: int, shots: int) -> Work:
     one_way = sscsi(bands, size, shots, columns=3) + basis(bands, size)
     voxels = bands * size**2
     return one_way + one_way + Work(24 * voxels, 20 * voxels)
+
+
+def gap_tv_iteration(bands: int, size: int, shots: int, tv_iterations: int) -> Work:
+    """One iteration of GAP-TV with an SSCSI."""
+    one_way = sscsi(bands, size, shots, columns=3)
+    pixels, voxels = size**2, bands * size**2
+    own = Work(28 * voxels + 4 * shots**2 * pixels, (21 * tv_iterations + 12) * voxels + 2 * shots**2 * pixels)
+    return one_way + one_way + own

@@ -11,8 +11,9 @@ import numpy as np
 from shadowgram import codes, metrics, noise
 from shadowgram.operators import LinearOperator
 from shadowgram.solvers.eigen_tv import EigenTV
-from shadowgram.solvers.gpsr import GPSR, search_tau
+from shadowgram.solvers.gpsr import GPSR
 from shadowgram.solvers.solution import solve
+from shadowgram.solvers.tau_search import search_tau
 from shadowgram.spectral.sscsi import SSCSI
 
 from . import _common as common

@@ -16,8 +16,9 @@ from shadowgram.operators import LinearOperator
 from shadowgram.scenes import as_datacube, to_rgb
 from shadowgram.scenes.colour import auto_exposure
 from shadowgram.solvers.eigen_tv import EigenTV
-from shadowgram.solvers.gpsr import GPSR, search_tau
+from shadowgram.solvers.gpsr import GPSR
 from shadowgram.solvers.solution import solve
+from shadowgram.solvers.tau_search import search_tau
 from shadowgram.spectral.continuous import ContinuousSSCSI
 from shadowgram.spectral.sscsi import SSCSI
 
