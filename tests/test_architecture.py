@@ -21,7 +21,7 @@ MAY_IMPORT = {
     "operators": {"_threads"},
     "testing": {"operators"},
     "codes": {"_threads", "scenes"},  # of scenes, how a file is written whole or not at all
-    "spectral": {"_threads", "codes", "operators"},
+    "spectral": {"_threads", "codes", "operators", "solvers"},  # of solvers, what tests a model by predicting pixels
     "priors": {"_threads"},
     "solvers": {"_threads", "operators", "priors"},
     "xray": {"_threads", "codes", "metrics", "noise", "operators", "priors", "scenes", "solvers"},

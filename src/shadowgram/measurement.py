@@ -241,7 +241,7 @@ def band_means(values: np.ndarray, imager: Imager) -> np.ndarray:
 
     Parameters
     ----------
-    values : (band, y, x), bands evenly spread over `imager.wavelengths`.
+    values : (band, y, x), bands evenly spread over `imager.wavelengths`, or over each of the bands that have centres of their own.
     imager : says which bands are wanted.
 
     Returns
@@ -257,6 +257,12 @@ def band_means(values: np.ndarray, imager: Imager) -> np.ndarray:
     >>> band_means(np.array([1.0, 3.0, 5.0, 7.0]).reshape(4, 1, 1), imager).ravel()
     array([2., 6.])
     """
+    if isinstance(imager, CASSI | DualCASSI | ColoredCASSI) and imager.band_centres is not None:
+        # Finer bands of these divide each band, as `finer` does, and are no more even than the bands.
+        bands = imager.resolution.bands
+        if len(values) % bands:
+            raise ValueError(f"a cube that is finer has a multiple of the imager's {bands} bands, got {len(values)}")
+        return np.asarray(values).reshape(bands, -1, *np.shape(values)[1:]).mean(axis=1)
     low, high = imager.wavelengths
     places = (imager.resolution.band_edges - low) * (len(values) / (high - low))
     return interval_means(np.asarray(values), 0, places, whole=True)

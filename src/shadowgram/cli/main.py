@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from . import benchmark, cameras, demo, denoiser, files, masks, recovery, resolution, study, xray
+from . import benchmark, cameras, captured_shots, demo, denoiser, files, masks, recovery, resolution, study, xray
 from .output import Interrupted, complain, print_warning
 
 OK, INTERRUPTED = 0, 130
@@ -27,6 +27,7 @@ app.command("info")(files.info)
 app.command("convert")(files.convert)
 app.command("compare")(files.compare)
 app.command("capture")(cameras.capture)
+app.command("import")(captured_shots.import_shots)
 app.command("reconstruct")(recovery.reconstruct)
 app.command("resolution")(resolution.resolution)
 app.add_typer(masks.app, name="codes")

@@ -119,7 +119,9 @@ def run(
     data: Annotated[
         Path | None,
         typer.Option(
-            metavar="DIR", help="Folder of measured data, for the studies that need them.", show_default=False
+            metavar="DIR",
+            help="Folder of measured data, for the studies that need them; without it 'all' leaves them out.",
+            show_default=False,
         ),
     ] = None,
     out: Out = FOLDER,
@@ -137,11 +139,15 @@ def run(
         _use_data(data)
     chosen = [studies.load(one) for one in (studies.STUDIES if name == "all" else [name])]
     source = _source(scene)
+    left_out: list[Study] = []
     executor = running.executor(workers, cluster)
     out.mkdir(parents=True, exist_ok=True)
     output.check_folder(out)
     done: list[_Done] = []
     with open_journal(out) as journal, executor:
+        if name == "all":
+            left_out = _left_out(chosen, source, quick, journal)
+            chosen = [study for study in chosen if study not in left_out]
         for place, study in enumerate(chosen, 1):
             what = study.name if len(chosen) == 1 else f"{study.name} ({place} of {len(chosen)})"
             done.append(_run(study, source, quick, journal, executor, what))
@@ -151,10 +157,14 @@ def run(
                 break
     seconds = time.monotonic() - begun
     if as_json:
-        typer.echo(output.to_json({"studies": [one.values() for one in done], "seconds": seconds}))
+        without = [{"study": study.name, "why": _why_left_out(study)} for study in left_out]
+        typer.echo(output.to_json({"studies": [one.values() for one in done], "left_out": without, "seconds": seconds}))
     elif name == "all":
         whole = sum(one.figure is not None for one in done)
-        typer.echo(f"{whole} of {len(chosen)} studies complete, {output.duration(seconds)}; figures are in {out}")
+        without = f", {len(left_out)} left out for want of data" if left_out else ""
+        typer.echo(
+            f"{whole} of {len(chosen)} studies complete{without}, {output.duration(seconds)}; figures are in {out}"
+        )
     _end(done, journal.path)
 
 
@@ -248,8 +258,8 @@ def _draw(study: Study, scene: SceneSource, quick: bool, records: Sequence[Any],
 
 def _end(done: Sequence[_Done], journal: Path) -> None:
     """End as the last study did: interrupted, with a status that says that something failed, or well."""
-    last = done[-1].summary
-    if last.interrupted:
+    last = done[-1].summary if done else None
+    if last is not None and last.interrupted:
         raise output.Interrupted(
             f"interrupted: {last.computed + last.reused} of {last.total} results of {done[-1].study.name} are in {journal};"
             f" of the running tasks {last.finished} were finished and {last.dropped} dropped; the same command goes on"
@@ -265,6 +275,31 @@ def _use_data(folder: Path) -> None:
     if not folder.is_dir():
         raise NotADirectoryError(f"there is no folder {folder}; give the one that has the measured data")
     os.environ[VARIABLE] = str(folder.resolve())
+
+
+def _left_out(chosen: Sequence[Study], scene: SceneSource, quick: bool, journal: Journal) -> list[Study]:
+    """Studies of a long night that cannot be computed here, with a line that says why."""
+    without = [study for study in chosen if _lacks_data(study, scene, quick, journal)]
+    for study in without:
+        output.complain(f"{study.name} is left out: {_why_left_out(study)}")
+    return without
+
+
+def _lacks_data(study: Study, scene: SceneSource, quick: bool, journal: Journal) -> bool:
+    """Whether a study needs measured data, no folder of them was named, and the journal does not have all records."""
+    from shadowgram.experiments.data_folder import VARIABLE
+    from shadowgram.experiments.tasks import make_tasks
+
+    if not study.data or os.environ.get(VARIABLE):
+        return False
+    keys = {task.key for task in make_tasks(study, scene, quick)}
+    return len(journal.records(keys)) < len(keys)
+
+
+def _why_left_out(study: Study) -> str:
+    from shadowgram.experiments.data_folder import VARIABLE
+
+    return f"it needs measured data ({study.data}); name their folder with --data or {VARIABLE}"
 
 
 def _source(scene: Path | None) -> SceneSource:

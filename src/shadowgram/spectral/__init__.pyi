@@ -3,7 +3,13 @@ from .bench import read_bench as read_bench
 from .calibration import CalibratedImager as CalibratedImager
 from .calibration import Calibration as Calibration
 from .calibration import calibrate as calibrate
+from .capture_checks import Finding as Finding
+from .capture_checks import check_capture as check_capture
+from .code_gradient import CodeOperator as CodeOperator
+from .code_gradient import code_operator as code_operator
 from .continuous import ContinuousSSCSI as ContinuousSSCSI
+from .mismatch import Mismatch as Mismatch
+from .mismatch import estimate_mismatch as estimate_mismatch
 from .registration import Geometry as Geometry
 from .registration import MeasuredResolution as MeasuredResolution
 from .registration import Misregistration as Misregistration
@@ -12,3 +18,4 @@ from .registration import measured_resolution as measured_resolution
 from .registration import misregistration as misregistration
 from .resolution import Resolution as Resolution
 from .resolution import position_for as position_for
+from .torch_codes import torch_imager as torch_imager

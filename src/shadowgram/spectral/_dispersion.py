@@ -50,6 +50,7 @@ class Dispersion:
     reference_bands : number of bands that the displacements and the width of the detector are counted in.
     law : pixels from one reference band to the next, or a measured curve.
     shear : one of `SHEARS`.
+    reference_centres : nm, of the reference bands where they are not even.
     """
 
     wavelengths: tuple[float, float]
@@ -57,15 +58,28 @@ class Dispersion:
     reference_bands: int
     law: float | Curve
     shear: str
+    reference_centres: tuple[float, ...] | None = None
 
     def at(self, position: np.ndarray) -> np.ndarray:
         """Displacement, px, at `position`: 0 at the shortest wavelength, `reference_bands` at the longest."""
         if not isinstance(self.law, tuple):
             return self.law * (position - 0.5)
-        low, high = self.wavelengths
-        nm = low + (high - low) * np.append(0.5, position) / self.reference_bands
-        displaced = interpolate(self.law, nm)
+        displaced = interpolate(self.law, self.wavelength_at(np.append(0.5, position)))
         return displaced[1:] - displaced[0]
+
+    def wavelength_at(self, position: np.ndarray) -> np.ndarray:
+        """Wavelength, nm, at `position`; bands that are not even are even about their centres, and straight between them."""
+        if self.reference_centres is None:
+            low, high = self.wavelengths
+            return low + (high - low) * position / self.reference_bands
+        centres = np.array(self.reference_centres)
+        k = np.clip(np.floor(position - 0.5).astype(int), 0, len(centres) - 2)
+        return centres[k] + (centres[k + 1] - centres[k]) * (position - 0.5 - k)
+
+    @property
+    def band_centres(self) -> np.ndarray:
+        """(band,) nm."""
+        return self.wavelength_at((np.arange(self.bands) + 0.5) * (self.reference_bands / self.bands))
 
     @cached_property
     def edges(self) -> np.ndarray:

@@ -34,7 +34,7 @@ DEAD = 0.05  # response, relative to the mean
 
 @dataclass(frozen=True, kw_only=True)
 class CalibratedResolution(Resolution):
-    """Resolution of a camera whose bands are those of its calibration; they need not be even.
+    """Resolution of a camera whose bands are known by their centres, as from a calibration; they need not be even.
 
     Attributes
     ----------

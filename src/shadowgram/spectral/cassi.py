@@ -36,7 +36,7 @@ class CASSI(Disperser):
     Parameters
     ----------
     cube_shape : (band, y, x) of the datacube.
-    wavelengths : (shortest, longest) nm, split evenly into the bands.
+    wavelengths : (shortest, longest) nm, split evenly into the bands. Left out where `band_centres` is given.
     pitch : µm, of detector and code.
     band_shift : pixels of dispersion from the centre of one band to that of the next, any positive number; 1 if neither it nor
         `dispersion` is given.
@@ -48,6 +48,8 @@ class CASSI(Disperser):
         differences count: the centre of band 0 is displaced by 0.
     reference_bands : number of bands that `band_shift` and the detector's width are counted in, and the first of which is
         displaced by 0; those of `cube_shape` if not given. `finer` sets it: finer bands on the same instrument.
+    band_centres : (reference band,) nm, ascending; of bands that are not even, as those of a prism that all are `band_shift`
+        wide on the detector. They are the wavelengths of the datacube; a band ends half-way to the next.
 
     Raises
     ------
@@ -72,6 +74,12 @@ class CASSI(Disperser):
     ...                  dispersion=((450, 0.0), (500, 11.0), (550, 18.0), (600, 23.0), (650, 26.5)))
     >>> prism.displacements.round(1)
     array([ 0. ,  8.8, 14.7, 18.9])
+
+    Bands that are even on the detector and not in wavelength:
+
+    >>> prism = sg.CASSI(cube_shape=(4, 64, 64), band_centres=(450, 470, 500, 550), band_shift=2)
+    >>> prism.wavelengths, prism.resolution.wavelengths.tolist()
+    ((440.0, 575.0), [450.0, 470.0, 500.0, 550.0])
     """
 
     @property
