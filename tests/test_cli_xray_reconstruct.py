@@ -90,6 +90,18 @@ def test_image_summary_and_picture(capsys, folder):
     assert lines[-1].startswith("→ image.nc, ")
 
 
+def test_info_says_what_the_image_is(capsys):
+    made = json.loads(run(capsys, "scan.npz -o image.nc --json").out)
+    assert main(["info", "image.nc", "--json"]) == 0
+    values = json.loads(capsys.readouterr().out)
+    image = read_dataset("image.nc")["image"].values
+    assert (values["kind"], values["shape"], values["shots"]) == ("xray-image", [SIDE, SIDE], SHOTS)
+    assert values["range"] == [image.min(), image.max()]
+    assert (values["verdict"], values["p_value"]) == (made["verdict"], made["test"]["p_value"])
+    assert main(["info", "image.nc"]) == 0
+    assert made["verdict"] in capsys.readouterr().out
+
+
 def test_a_native_scan_and_npz_give_the_same_image(capsys, folder):
     scan = Scan(
         counts=COUNTS, standard_error=np.sqrt(COUNTS), background=AIR, background_error=np.sqrt(AIR), codes=CODES,

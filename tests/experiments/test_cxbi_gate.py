@@ -43,12 +43,13 @@ def test_figure_is_drawn_from_the_records(quick, panels):
 
 def test_claims_count_the_cases_against_the_better_oracle_of_each_measure():
     claims = gate.claims(records(quick=False))
-    assert len({claim.says for claim in claims}) == len(claims) == 5
+    assert len({claim.says for claim in claims}) == len(claims) == 6
     assert "better than the better oracle in 12 and 0 of 12 cases" in claims[0].found
     assert "blind 20.00/0.800, oracle-bm3d 19.00/0.700, oracle-ffdnet 18.00/0.850" in claims[0].found
     assert "20.0/0.80 against 19.0/0.85" in claims[0].found
     assert "blind 19.00/0.700" in claims[1].found
     assert "blind, FFDNet alone: 19.50/0.750" in claims[2].found
+    assert claims[3].found == "1 %: +0.50/+0.050; 10 %: +0.50/+0.050; 50 %: +0.50/+0.050"
     for claim in claims:
         assert claim.page is None
         assert claim.agrees is None

@@ -83,6 +83,7 @@ class Study:
     run : (specification, scene) → result; seeded, and the same for any number of threads.
     figure : records → figure, from the records alone.
     claims : records → claims, from the records alone.
+    data : where the measured data come from that its tasks need (`shadowgram.experiments.data_folder`); empty if they need none.
     """
 
     name: str
@@ -93,6 +94,7 @@ class Study:
     run: Callable[[Any, SceneSource], Result]
     figure: Callable[[Sequence[Record]], Figure]
     claims: Callable[[Sequence[Record]], Sequence[Claim]]
+    data: str = ""
 
     @property
     def chapter(self) -> int | None:

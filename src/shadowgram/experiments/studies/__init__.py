@@ -34,9 +34,21 @@ STUDIES = (
     "codes-better",
     "codes-light",
     "fig-4-1",
+    "fig-4-4",
     "slab-backscatter",
+    "fig-4-5",
+    "fig-4-8",
+    "fig-4-9",
+    "cxbi-poisson",
     "cxbi-gate",
+    "table-4-1",
+    "table-4-2",
+    "fig-4-10",
+    "fig-4-11",
     "cxbi-laboratory",
+    "methods",
+    "kaist",
+    "tsa-real",
 )
 
 

@@ -400,4 +400,5 @@ STUDY = Study(
     run=run,
     figure=figure,
     claims=claims,
+    data=ORIGIN,
 )
