@@ -87,7 +87,9 @@ def test_a_folder_of_scenes_and_a_mask_is_what_is_compared(tmp_path, monkeypatch
     specs = kaist.specs(generated(), False)
     assert {spec.scene for spec in specs} == {"scene01.mat"}
     assert all(spec.digest and spec.mask for spec in specs)
-    np.testing.assert_array_equal(kaist.read_scene(folder / "scene01.mat"), cube)
+    values, centres = kaist.read_scene(folder / "scene01.mat")
+    np.testing.assert_array_equal(values, cube)
+    np.testing.assert_array_equal(centres, kaist.WAVELENGTHS)
     np.testing.assert_array_equal(kaist._mask(specs[0]), mask[None])
 
 

@@ -12,6 +12,7 @@ from shadowgram.cli import main, output
 from shadowgram.experiments import holdings
 from shadowgram.experiments.journal import FILE_NAME
 from shadowgram.experiments.source import generated
+from shadowgram.experiments.study import Claim
 
 
 @pytest.fixture
@@ -220,6 +221,20 @@ def test_studies_of_a_chapter(studies, tmp_path, capsys):
     assert "## first:" in page
     assert "second" not in page
     assert "there is no study of chapter 5; there are of 2, 3" in refused(capsys, "study list --chapter 5")
+
+
+def test_studies_by_name_on_a_page_of_questions(studies, tmp_path, capsys):
+    asked = [Claim(page=None, says="How many are there?", found="4 norms", agrees=None)]
+    studies["second"] = dataclasses.replace(studies["second"], name="second", claims=lambda _: asked)
+    run(capsys, "study run second")
+    assert run(capsys, "study list second").out.startswith("second ")
+    run(capsys, "study list second --markdown found.md")
+    page = (tmp_path / "found.md").read_text()
+    assert page.startswith("# What was found\n")
+    assert "written by `shadowgram study list second --markdown found.md`" in page
+    assert "| study |" not in page
+    assert "**Beyond the source: How many are there?**" in page
+    assert "there is no study 'third'" in refused(capsys, "study list third")
 
 
 def test_chapter_of_a_study(little):

@@ -37,6 +37,9 @@ Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 @app.command("list")
 def list_studies(
+    names: Annotated[
+        list[str] | None, typer.Argument(help="Studies, such as fig-2-15; by default all of them.", show_default=False)
+    ] = None,
     out: Out = FOLDER,
     claims: Annotated[
         bool, typer.Option("--claims", help="Print every claim of the source, and what was found.")
@@ -55,7 +58,7 @@ def list_studies(
     """
     if markdown is not None:
         output.check_output(markdown, (".md",))
-    found = _held(_of_chapter(chapter), out)
+    found = _held(_chosen(names or [], chapter), out)
     width = max(11, *(len(study.name) + 1 for study, _ in found))
     lines = []
     for study, held in found:
@@ -64,7 +67,7 @@ def list_studies(
             lines.append(f"{'':<11}{_state(holding)}")
             lines += [f"{'':<13}{line}" for line in _claim_lines(holding.claims)] if claims else []
     if markdown is not None:
-        _write_page(markdown, found, out, chapter)
+        _write_page(markdown, found, out, "".join(f" {name}" for name in names or []), chapter)
     values = [
         {"name": study.name, "title": study.title, "source": study.source, "revision": study.revision}
         | {"holdings": [_holding_values(holding) for holding in held]}
@@ -73,11 +76,11 @@ def list_studies(
     output.report({"studies": values}, lines, as_json)
 
 
-def _of_chapter(chapter: int | None) -> list[Study]:
-    """The studies of a chapter, or all of them."""
+def _chosen(names: Sequence[str], chapter: int | None) -> list[Study]:
+    """The studies of these names, or of a chapter, or all of them."""
     from shadowgram.experiments import studies
 
-    known = [studies.load(name) for name in studies.STUDIES]
+    known = [studies.load(name) for name in names or studies.STUDIES]
     if chapter is None:
         return known
     chosen = [study for study in known if study.chapter == chapter]
@@ -88,12 +91,12 @@ def _of_chapter(chapter: int | None) -> list[Study]:
 
 
 def _write_page(
-    markdown: Path, found: Sequence[tuple[Study, Sequence[Holding]]], out: Path, chapter: int | None
+    markdown: Path, found: Sequence[tuple[Study, Sequence[Holding]]], out: Path, named: str, chapter: int | None
 ) -> None:
     from shadowgram.experiments import holdings
     from shadowgram.experiments.journal import read_journal
 
-    chosen = "" if chapter is None else f" --chapter {chapter}"
+    chosen = named if chapter is None else f"{named} --chapter {chapter}"
     text, figures = holdings.page(found, f"shadowgram study list{chosen} --markdown {markdown.name}")
     if figures:
         with read_journal(out) as journal:

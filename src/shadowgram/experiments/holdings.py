@@ -152,7 +152,7 @@ def verdict(claim: Claim) -> str:
 def page(
     studies: Sequence[tuple[Study, Sequence[Holding]]], command: str
 ) -> tuple[str, dict[str, tuple[Study, Holding]]]:
-    """Page in Markdown: a table of all claims, then every study with its figure and what was found on every scene.
+    """Page in Markdown: a table of all claims of the source, then every study with its figure and what was found on every scene.
 
     Of a scene with all records of a study those cut short are left out.
 
@@ -168,16 +168,7 @@ def page(
     """
     shown = [(study, _shown(held)) for study, held in studies]
     labels = list(dict.fromkeys(holding.label for _, held in shown for holding in held))
-    lines = [
-        "# What the source says, and what was found",
-        "",
-        f"Computed by `shadowgram study run all`, with `--scene FILE` for recorded scenes; written by `{command}`.",
-        "The pages are those of E. E. Salazar, *Code aperture imaging from the visible to X-ray*, University of Delaware, 2022.",
-        "Empty cells: the study does not use a scene, and was run once. Further down, every study with its figure, the numbers,",
-        "and questions that the source does not ask.",
-        "",
-    ]
-    lines += [_row(["study", "page", "the source says", *labels]), _row(["---"] * (3 + len(labels)))]
+    rows: list[str] = []
     figures: dict[str, tuple[Study, Holding]] = {}
     details: list[str] = []
     for study, held in shown:
@@ -192,9 +183,29 @@ def page(
                 details += [f"- {label}: {_sentence(one)}" for label, one in found.items()]
                 continue
             verdicts = [verdict(found[label]) if label in found else "" for label in labels]
-            lines.append(_row([f"[{study.name}](#{_anchor(study)})", str(page), says, *verdicts]))
+            rows.append(_row([f"[{study.name}](#{_anchor(study)})", str(page), says, *verdicts]))
             details += [f"- {label}: {verdict(one)}. {_sentence(one)}" for label, one in found.items()]
-    return "\n".join([*lines, *details]) + "\n", figures
+    opening = _opening(labels, rows, command)
+    return "\n".join([*opening, *details]) + "\n", figures
+
+
+def _opening(labels: Sequence[str], rows: Sequence[str], command: str) -> list[str]:
+    """Title and table of the source's claims; without a table where there is none."""
+    made = f"Computed by `shadowgram study run`, with `--scene FILE` for recorded scenes; written by `{command}`."
+    if not rows:
+        return ["# What was found", "", made]
+    return [
+        "# What the source says, and what was found",
+        "",
+        made,
+        "The pages are those of E. E. Salazar, *Code aperture imaging from the visible to X-ray*, University of Delaware, 2022.",
+        "Empty cells: the study does not use a scene, and was run once. Further down, every study with its figure, the numbers,",
+        "and questions that the source does not ask.",
+        "",
+        _row(["study", "page", "the source says", *labels]),
+        _row(["---"] * (3 + len(labels))),
+        *rows,
+    ]
 
 
 def _statements(held: Sequence[Holding]) -> dict[tuple[int | None, str], dict[str, Claim]]:

@@ -102,8 +102,10 @@ def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
 
 
-def read_scene(path: Path) -> np.ndarray:
-    """Values (band, y, x) float32 of a scene of the comparison.
+def read_scene(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Values (band, y, x) float32 of a scene of the comparison, and the centres of its bands, (band,) nm.
+
+    They are those of the comparison, unless a NetCDF file says others.
 
     Raises
     ------
@@ -112,7 +114,8 @@ def read_scene(path: Path) -> np.ndarray:
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what is guessed, the comparison fixes
-        values = scenes.read(path, wavelengths=WAVELENGTHS).values.astype(np.float32)
+        cube = scenes.read(path, wavelengths=None if path.suffix.lower() == ".nc" else WAVELENGTHS)
+    values = cube.values.astype(np.float32)
     wanted = (len(WAVELENGTHS), SIZE, SIZE)
     if values.shape != wanted:
         raise ValueError(
@@ -122,13 +125,14 @@ def read_scene(path: Path) -> np.ndarray:
         raise ValueError(
             f"{path} has values from {values.min():.4g} to {values.max():.4g}, and the comparison's lie in [0, 1]; scale it"
         )
-    return values
+    return values, cube.wavelength.values
 
 
-def _truth(spec: Spec, scene: SceneSource) -> np.ndarray:
+def _truth(spec: Spec, scene: SceneSource) -> tuple[np.ndarray, np.ndarray]:
     if spec.scene:
         return read_scene(_scenes()[spec.scene])
-    return common.fine_cube(scene, spec.bands, (spec.size, spec.size))
+    edges = np.linspace(*scene.wavelengths, spec.bands + 1)
+    return common.fine_cube(scene, spec.bands, (spec.size, spec.size)), (edges[1:] + edges[:-1]) / 2
 
 
 def _mask(spec: Spec) -> np.ndarray:
@@ -160,9 +164,9 @@ def published_psnr(x: np.ndarray, truth: np.ndarray) -> float:
 
 def run(spec: Spec, scene: SceneSource) -> Result:
     """Measure without noise, reconstruct and assess."""
-    truth = _truth(spec, scene)
-    centres = WAVELENGTHS if spec.bands == len(WAVELENGTHS) else np.linspace(*scene.wavelengths, spec.bands)
-    imager = CASSI(cube_shape=truth.shape, wavelengths=(float(centres[0]), float(centres[-1])), band_shift=BAND_SHIFT)
+    truth, centres = _truth(spec, scene)
+    bands, ny, nx = truth.shape
+    imager = CASSI(cube_shape=(bands, ny, nx), band_centres=tuple(map(float, centres)), band_shift=BAND_SHIFT)
     H = imager.operator(_mask(spec))
     found = methods.best(spec.method, H, H.forward(truth), truth)
     x = found.solution.x

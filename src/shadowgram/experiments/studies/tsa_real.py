@@ -57,7 +57,7 @@ def specs(_scene: SceneSource, quick: bool) -> list[Spec]:
     """All scenes whole, or a part of one."""
     if quick:
         return [Spec(scene=3, rows=(360, 424), iterations=25)]
-    return [Spec(scene=number, rows=(0, 660), iterations=100) for number in SCENES]
+    return [Spec(scene=number, rows=(0, 660), iterations=300) for number in SCENES]
 
 
 def read(name: str) -> np.ndarray:
