@@ -138,7 +138,7 @@ LARGE_IMAGERS = {
 def test_memory_is_not_more_than_said(name, shots):
     imager = LARGE_IMAGERS[name]
     taken, _ = a_measurement(imager, shots=shots)
-    sg.solve(sg.EigenTV(max_iter=1), taken.operator, taken.snapshots)  # compile
+    sg.solve(sg.EigenTV(max_iter=7), taken.operator, taken.snapshots)  # compile
     tracemalloc.start()
     sg.solve(sg.EigenTV(max_iter=7), imager.operator(taken.code), taken.snapshots)
     peak = tracemalloc.get_traced_memory()[1]

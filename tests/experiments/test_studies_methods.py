@@ -52,7 +52,7 @@ def test_quick_and_full_tasks_are_all_different(study, monkeypatch):
 
 
 def test_every_method_finds_something_and_eigen_tv_more_than_gpsr(records):
-    found = {(r.spec["method"], r.spec["noise"]): r.values for r in records["methods"]}
+    found = {(r.spec["method"], r.spec["noise"]): r.values for r in records["methods"] if "noise" in r.spec}
     assert {name for name, _ in found} == set(_methods.METHODS)
     assert all(values["psnr"] > 15 and values["seconds"] > 0 for values in found.values())
     assert found["eigen-tv", "30 dB"]["psnr"] > found["gpsr", "30 dB"]["psnr"]
@@ -61,11 +61,9 @@ def test_every_method_finds_something_and_eigen_tv_more_than_gpsr(records):
 
 
 def test_memory_counts_at_least_the_cube(records):
-    cube = 8 * 48 * 48 * 4 / 1e6
-    measured = [r.values["memory"] for r in records["methods"] if "memory" in r.values]
-    assert len(measured) == len(_methods.METHODS)
-    assert all(0 <= value < 1000 * cube for value in measured)
-    assert max(measured) > cube
+    [measured] = [r for r in records["methods"] if r.spec.get("part") == methods.MEMORY]
+    cube = 24 * 128 * 128 * 4 / 1e6
+    assert cube < measured.values["memory"] < 40 * cube
 
 
 def test_published_psnr_is_the_mean_over_the_bands_after_rounding():

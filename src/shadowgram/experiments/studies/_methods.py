@@ -120,13 +120,20 @@ def peak_memory(module: str, arguments: object) -> float:
     return float(done.stdout)
 
 
-def rise(name: str, H: LinearOperator, y: np.ndarray) -> float:
-    """MB by which resident memory rises at its peak in a few iterations of a method."""
+Problem = tuple[LinearOperator, np.ndarray]
+
+
+def rise(name: str, small: Problem, problem: Problem) -> float:
+    """MB by which resident memory rises at its peak in a few iterations of a method.
+
+    The small problem comes first, for libraries and kernels to be loaded: they are not memory of the reconstruction, and what a
+    problem of the same size has freed would be taken again unseen.
+    """
     from shadowgram._threads import threads
 
-    spec = replace(METHODS[name].trials(y)[0], max_iter=5)
     with threads(1):
-        solve(spec, H, y)  # libraries and kernels are loaded: not memory of the reconstruction
-        before = resident()
-        solve(spec, H, y)
+        for H, y in (small, problem):
+            spec = replace(METHODS[name].trials(y)[0], max_iter=6)
+            before = resident()
+            solve(spec, H, y)
     return max(0, peak_resident() - before) / 1e6

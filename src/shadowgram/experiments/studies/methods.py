@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 CLEAN, NOISY = "no noise", "30 dB"
 NOISES = (CLEAN, NOISY)
 SHOTS = (1, 2, 4, 6)
+SIZE = 256
+MEMORY = "memory"
 SHOWN = 4
 """Shots of the pictures."""
 
@@ -56,14 +58,34 @@ class Spec:
     seed: int = 0
 
 
-def specs(_scene: SceneSource, quick: bool) -> list[Spec]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MemorySpec:
+    """What one method takes, in a process of its own."""
+
+    method: str
+    shots: int
+    size: int
+    bands: int
+    part: str = MEMORY
+
+
+def specs(_scene: SceneSource, quick: bool) -> list[Spec | MemorySpec]:
     """All methods, both noises, one to six shots."""
-    size, bands = (48, 8) if quick else (256, 24)
+    size, bands = (48, 8) if quick else (SIZE, 24)
+    shown = (SHOWN,) if quick else SHOTS
     return [
-        Spec(method=method, shots=shots, noise=level, size=size, bands=bands)
-        for shots in ((SHOWN,) if quick else SHOTS)
-        for level in NOISES
-        for method in METHODS
+        *(
+            Spec(method=method, shots=shots, noise=level, size=size, bands=bands)
+            for shots in shown
+            for level in NOISES
+            for method in METHODS
+        ),
+        # A process for each takes longer than all the quick reconstructions.
+        *(
+            MemorySpec(method=method, shots=shots, size=128 if quick else SIZE, bands=24)
+            for shots in shown
+            for method in (("gap-tv",) if quick else METHODS)
+        ),
     ]
 
 
@@ -82,8 +104,10 @@ def measured(spec: Spec, scene: SceneSource) -> tuple[LinearOperator, np.ndarray
     return H, (noise.awgn(y, snr_db=30, seed=spec.seed) if spec.noise == NOISY else y), truth
 
 
-def run(spec: Spec, scene: SceneSource) -> Result:
+def run(spec: Spec | MemorySpec, scene: SceneSource) -> Result:
     """Reconstruct, assess, and measure what it cost."""
+    if isinstance(spec, MemorySpec):
+        return Result(values={"memory": methods.peak_memory(__name__, asdict(spec))})
     H, y, truth = measured(spec, scene)
     found = methods.best(spec.method, H, y, truth)
     quality = assess(found.solution.x, truth, peak=1.0)
@@ -92,8 +116,6 @@ def run(spec: Spec, scene: SceneSource) -> Result:
         "seconds": round(found.seconds, 3), "iterations": found.solution.iterations,
         "converged": bool(found.solution.converged), "solver": repr(found.spec),
     }  # fmt: skip
-    if spec.noise == CLEAN:  # noise changes nothing about it
-        values["memory"] = methods.peak_memory(__name__, asdict(spec))
     if spec.shots != SHOWN:
         return Result(values=values)
     exposure = common.exposure_of(truth, scene.wavelengths)
@@ -118,14 +140,30 @@ def figure(records: Sequence[Record]) -> Figure:
     )  # fmt: skip
 
 
+def _chosen(records: Sequence[Record], method: str, level: str) -> list[Record]:
+    """Reconstructions by a method, by shots."""
+    own = [r for r in records if (r.spec["method"], r.spec.get("noise")) == (method, level)]
+    return sorted(own, key=lambda r: r.spec["shots"])
+
+
+def _memory(records: Sequence[Record], method: str) -> dict[int, float]:
+    """Shots → MB."""
+    own = [r for r in records if (r.spec["method"], r.spec.get("part")) == (method, MEMORY)]
+    return {r.spec["shots"]: float(r.values["memory"]) for r in own}
+
+
 def _over(records: Sequence[Record], level: str, what: str, xlabel: str, title: str) -> Curves:
     from shadowgram.figures.sheet import Curve, Curves
 
-    named = level == CLEAN and what in ("shots", "memory")
+    named = level == CLEAN and what in ("shots", MEMORY)
     curves = {}
     for name, method in METHODS.items():
-        own = sorted(common.chosen(records, method=name, noise=level), key=lambda r: r.spec["shots"])
-        x = [float(r.spec["shots"] if what == "shots" else r.values[what]) for r in own]
+        memory = _memory(records, name)
+        own = [r for r in _chosen(records, name, level) if what != MEMORY or r.spec["shots"] in memory]
+        if not own:
+            continue
+        places = {"shots": lambda r: r.spec["shots"], MEMORY: lambda r, m=memory: m[r.spec["shots"]]}
+        x = [float(places.get(what, lambda r: r.values[what])(r)) for r in own]
         y = [float(r.values["psnr"]) for r in own]
         # As many lines as colours, and one more: broken, as it is nobody's to choose.
         dash = 1 if name == "eigen-tv-searched" else 0
@@ -136,7 +174,7 @@ def _over(records: Sequence[Record], level: str, what: str, xlabel: str, title: 
 def _pictures(records: Sequence[Record], level: str) -> list[Picture]:
     from shadowgram.figures.sheet import Picture
 
-    own = common.chosen(records, shots=SHOWN, noise=level)
+    own = [record for method in METHODS for record in _chosen(records, method, level) if record.spec["shots"] == SHOWN]
     truth = next(r.arrays["truth"] for r in own if "truth" in r.arrays)
     shown = [Picture(title="truth", picture=truth, caption=f"{SHOWN} shots, {level}")]
     for record in own:
@@ -161,22 +199,21 @@ def claims(records: Sequence[Record]) -> list[Claim]:
 
 
 def _psnr(records: Sequence[Record], method: str, level: str) -> dict[int, float]:
-    own = common.chosen(records, method=method, noise=level)
-    return {r.spec["shots"]: float(r.values["psnr"]) for r in sorted(own, key=lambda r: r.spec["shots"])}
+    return {r.spec["shots"]: float(r.values["psnr"]) for r in _chosen(records, method, level)}
 
 
 def _table(records: Sequence[Record], level: str) -> Claim:
     rows = []
     for name, method in METHODS.items():
-        own = sorted(common.chosen(records, method=name, noise=level), key=lambda r: r.spec["shots"])
+        own, memory = _chosen(records, name, level), _memory(records, name)
         columns = {
             "PSNR": [f"{r.values['psnr']:.2f}" for r in own],
             "RMS": [f"{r.values['rms']:.4f}" for r in own],
             "SAM": [f"{r.values['sam']:.3f}" for r in own],
             "s": [f"{r.values['seconds']:.1f}" for r in own],
         }
-        if level == CLEAN:
-            columns["MB"] = [f"{r.values['memory']:.0f}" for r in own]
+        if level == CLEAN and memory:
+            columns["MB"] = [f"{memory[r.spec['shots']]:.0f}" for r in own]
         rows.append(method.text + ": " + ", ".join(f"{what} {' / '.join(row)}" for what, row in columns.items()))
     shots = ", ".join(str(q) for q in sorted({r.spec["shots"] for r in records}))
     return Claim(
@@ -211,9 +248,14 @@ def _report_memory() -> None:
     """Print what the method of the command line takes, on the generated scene: its values do not matter."""
     from shadowgram.experiments.source import generated
 
-    spec = Spec(**json.loads(sys.argv[1]))
-    H, y, _ = measured(spec, generated())
-    sys.stdout.write(str(methods.rise(spec.method, H, y)))
+    asked = MemorySpec(**json.loads(sys.argv[1]))
+    problems = [
+        measured(
+            Spec(method=asked.method, shots=asked.shots, noise=CLEAN, size=size, bands=asked.bands), generated()
+        )[:2]
+        for size in (2 * asked.bands, asked.size)
+    ]  # fmt: skip
+    sys.stdout.write(str(methods.rise(asked.method, *problems)))
 
 
 if __name__ == "__main__":
