@@ -142,7 +142,7 @@ def _wrong_width(imager: MovableImager, columns: int, width: int) -> list[Findin
             Finding(
                 what=missing,
                 how_much=f"{beside}, which is right for {round(whole)} bands of {shift:g} px, not for {bands}",
-                what_to_do="check the number of bands, the shift, and that the shots are not cropped",
+                what_to_do="check the number of bands, the shift, and that neither shots nor mask are cropped",
                 fatal=True,
             )
         ]
