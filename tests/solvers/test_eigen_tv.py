@@ -188,6 +188,20 @@ def test_any_operator_is_solved(kind):
     assert sg.metrics.psnr(solution.x, cube, peak=1.0) > 30
 
 
+def test_a_narrow_thing_keeps_one_place_in_all_bands_of_a_single_disperser():
+    bands, columns = 16, np.arange(72)
+    spectrum = np.linspace(0.3, 1, bands, dtype=np.float32)[:, None, None]
+    ripple = 0.7 + 0.3 * np.sin(np.arange(40))[:, None]
+    cube = (spectrum * ripple * (np.abs(columns - 35) < 5)).astype(np.float32)
+    imager = sg.CASSI(cube_shape=cube.shape, wavelengths=(450, 650), band_shift=2)
+    H = imager.operator(sg.codes.boolean(shots=1, shape=imager.code_shape, seed=0))
+    x = sg.solve(sg.EigenTV(), H, sg.noise.awgn(H.forward(cube), snr_db=30, seed=0).astype(np.float32)).x
+    profiles = x.mean(axis=1)
+    places = profiles @ columns / profiles.sum(axis=1)
+    assert np.abs(places - 35).mean() < 1.5
+    assert sg.metrics.psnr(x, cube, peak=1.0) > 26
+
+
 def test_photon_noise_is_seen_where_it_is_bright():
     cube = scene(bands=24, rows=64, columns=64) * np.where(np.arange(64) < 32, 0.1, 1).astype(np.float32)
     H, y = problem(cube, shots=3)

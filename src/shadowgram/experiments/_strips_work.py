@@ -127,7 +127,7 @@ def _noise_behind(weight: float, H: LinearOperator, y: np.ndarray) -> float:
     amplitude = math.sqrt(energy(y) / energy(H.forward(ones)))
     gain = data_step(H, ones).gain
     of_voxel = (weight / (gain * amplitude * rule._LAMBDA_FACTOR)) ** (1 / rule._LAMBDA_POWER)
-    caution = rule._caution(H.in_shape[0], H.out_shape[0])
+    caution = rule._caution(H)
     return of_voxel * math.sqrt(gain) * amplitude / (caution * rule._FITTED_NOISE)
 
 

@@ -34,6 +34,9 @@ _BRIGHTNESSES = 8  # groups of detector elements whose noise may differ
 # Eigen-image m is weighted by (m + 1)^p, p = 0.5 − 0.9/Q²: with several shots the later ones hold less of the scene than of noise;
 # with one shot they are all that tells the bands apart.
 _RANK_POWER, _RANK_POWER_OF_ONE_SHOT = 0.5, 0.9
+# A detector wider than the scene sees its bands side by side, and with few shots a band that moves along x costs the data little.
+# Only the first eigen-images, which all bands share, hold the edges together; and with the others held down, less λ is enough.
+_RANK_POWER_ACROSS, _CAUTION_ACROSS, _FEW_SHOTS = 1.0, 0.45, 0.25
 TV_ITERATIONS = 6
 REFRESH = 5  # iterations between estimates of V and λ
 _RELAXATION = 1.6
@@ -60,11 +63,11 @@ class Splitting:
         self.sample = np.array_split(sample[np.argsort(self.y.ravel()[sample], kind="stable")], _BRIGHTNESSES)
         self.noise = noise_level(H, self.y) if noise is None else noise / self.amplitude
         bands, shots = H.in_shape[0], H.out_shape[0]
-        self.caution = _caution(bands, shots)
+        self.caution = _caution(H)
         # How much of the flattest windows' noise is beyond doubt: they hold texture too, but where the shots are nearly as many as
         # the bands, or one, the residual can be explained away, and they are all there is.
         self.trust = min(1.0, 0.5 + shots / bands + shots**-4)
-        self.ranks = np.arange(1, bands + 1) ** (_RANK_POWER - _RANK_POWER_OF_ONE_SHOT / shots**2)
+        self.ranks = np.arange(1, bands + 1) ** _rank_power(H)
         self.pull = _PULL * (1 - 2 / 3 / shots**2)
         self.correction = np.zeros(H.in_shape, dtype)
         self.solver = data_step(H, self.correction)
@@ -149,11 +152,25 @@ class Splitting:
         run_chunks(_tv_kernels.smooth, len(images), 1, images, self.p, self.weights(), TV_ITERATIONS, images)
 
 
-def _caution(bands: int, shots: int) -> float:
+def _bands_may_part(H: LinearOperator) -> bool:
+    """Whether bands fall beside one another, as in a CASSI with one disperser, and the shots are few against them."""
+    return H.out_shape[2] > H.in_shape[2] and H.out_shape[0] < _FEW_SHOTS * H.in_shape[0]
+
+
+def _rank_power(H: LinearOperator) -> float:
+    """The power of m + 1 by which eigen-image m is weighted."""
+    if _bands_may_part(H):
+        return _RANK_POWER_ACROSS
+    return _RANK_POWER - _RANK_POWER_OF_ONE_SHOT / H.out_shape[0] ** 2
+
+
+def _caution(H: LinearOperator) -> float:
     """By how much more than one voxel's noise λ has to count: a single shot can be explained by any noise, and where there are
     nearly as many shots as bands there is no interference between bands that would hide it.
     """
-    return max((1 + 2 / shots**4) ** 0.8, 1 + 0.75 * shots / bands)
+    shots = H.out_shape[0]
+    crowded = 1 + 0.75 * shots / H.in_shape[0]
+    return _CAUTION_ACROSS * crowded if _bands_may_part(H) else max((1 + 2 / shots**4) ** 0.8, crowded)
 
 
 def _eigenbasis(z: np.ndarray) -> np.ndarray:

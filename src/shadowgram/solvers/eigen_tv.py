@@ -19,6 +19,7 @@ class EigenTV:
 
     Problem: min over x of ½‖Hx − y‖² + λ Σ_m (m + 1)^p TV((V x)_m), with V the eigenbasis of the spectra and of the spatial
     gradients of x itself, so that nearly all of the scene lies in the first few eigen-images, and p = 0.5 − 0.9/Q² for Q shots.
+    Where bands fall beside one another on a detector wider than the scene, and Q is below a quarter of the bands, p = 1.
 
     Parameters
     ----------
@@ -40,8 +41,9 @@ class EigenTV:
     shot × shot matrix a detector element where `shot_gram` knows them and by conjugate gradients elsewhere;
     z ← Vᵀ prox_TV(V(x + u)), a few iterations from the previous duals, and z ← max(z, 0); u ← u + x − z. Every fifth
     iteration V is estimated anew, and λ = 0.45 h (c σ/√h)^1.25, with σ the noise, amplitudes in units of the mean scene
-    value, and c = max((1 + 2/Q⁴)^0.8, 1 + 0.75 Q/L) for Q shots and L bands; λ falls no faster than the cube changes, and
-    μ = h (k λ/h)^⅓ with k = 0.3 − 0.2/Q². The multiplier μu is carried over in proportion to λ.
+    value, and c = max((1 + 2/Q⁴)^0.8, 1 + 0.75 Q/L) for Q shots and L bands, or 0.45 (1 + 0.75 Q/L) where p = 1; λ falls no
+    faster than the cube changes, and μ = h (k λ/h)^⅓ with k = 0.3 − 0.2/Q². The multiplier μu is carried over in proportion
+    to λ.
 
     The history of `solve` has ``"residual"`` ‖Hx − y‖₂, ``"change"`` ‖x − previous x‖/‖x‖, ``"lambda"``, ``"mu"`` and
     ``"seconds"`` since the start, for every iteration.
