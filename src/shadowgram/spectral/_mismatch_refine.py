@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shadowgram.operators.base import LinearOperator, Shape
-from shadowgram.operators.structure import shot_gram
+from shadowgram.operators.base import LinearOperator
+from shadowgram.solvers._parts import Kept
 from shadowgram.solvers.eigen_tv import EigenTV
 from shadowgram.solvers.solution import solve
 
@@ -29,37 +29,6 @@ STEP = 0.4  # px or px², at most, in a round
 SETTLED = 0.01  # px of any band, px², or of a gain
 FARTHEST = 3.0  # px
 MARGIN = 12  # rows of the code beside those that are wanted: the shift, the blur, and what a spline needs
-
-
-@dataclass(frozen=True, eq=False)
-class HeldOut(LinearOperator):
-    """An operator without some of its pixels: `kept` (shot, y, x) is 0 there and 1 elsewhere."""
-
-    whole: LinearOperator
-    kept: np.ndarray
-
-    @property
-    def in_shape(self) -> Shape:
-        """(band, y, x) of the datacube."""
-        return self.whole.in_shape
-
-    @property
-    def out_shape(self) -> Shape:
-        """(shot, y, x) of the snapshots."""
-        return self.whole.out_shape
-
-    def _forward(self, x: np.ndarray, out: np.ndarray) -> None:
-        self.whole._forward(x, out)
-        out *= self.kept
-
-    def _adjoint(self, y: np.ndarray, out: np.ndarray) -> None:
-        self.whole._adjoint(y * self.kept.astype(y.dtype), out)
-
-
-@shot_gram.register
-def _(A: HeldOut) -> np.ndarray | None:
-    gram = shot_gram(A.whole)
-    return None if gram is None else gram * A.kept[:, None] * A.kept[None]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -224,7 +193,7 @@ def _look(
     """Error of predicting held-out pixels; the step that predicts them better, and its standard errors."""
     code = np.clip(capture.codes(model), 0, None)
     H = capture.operator(code)
-    cube = solve(EigenTV(max_iter=ITERATIONS), HeldOut(H, kept), capture.snapshots * kept).x
+    cube = solve(EigenTV(max_iter=ITERATIONS), Kept(H, kept), capture.snapshots * kept).x
     out = kept == 0
     seen = H.forward(cube)
     rest = (capture.snapshots - seen)[out].astype(np.float64)
