@@ -5,7 +5,7 @@ import pytest
 
 import shadowgram as sg
 from shadowgram.operators.structure import shot_gram
-from shadowgram.solvers._parts import Kept, Shots
+from shadowgram.solvers._parts import Shots, Weighted
 from shadowgram.solvers.uncertainty import uncertainty
 from shadowgram.testing import dot_test
 
@@ -99,7 +99,7 @@ def test_parts_equal_their_matrices(shape, kind):
     imager = sg.CASSI(cube_shape=shape, wavelengths=(450, 650))
     H = imager.operator(np.random.default_rng(0).random((3, *imager.code_shape)))
     half = np.random.default_rng(1).random(H.out_shape) < 0.5
-    part = Kept(H, half) if kind == "kept" else Shots(H, (0, 2))
+    part = Weighted(H, half) if kind == "kept" else Shots(H, (0, 2))
     assert dot_test(part, seed=0) < 1e-12
     x = np.random.default_rng(2).random(shape)
     seen = H.forward(x)

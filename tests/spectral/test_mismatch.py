@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter, shift
 
 import shadowgram as sg
 from shadowgram.operators.structure import shot_gram
-from shadowgram.solvers._parts import Kept
+from shadowgram.solvers._parts import Weighted
 from shadowgram.spectral import _mismatch_fit as windowed
 from shadowgram.spectral._mismatch_refine import Capture, Model, _slopes, moved_code, parameters
 from shadowgram.spectral._mismatch_windows import windows_of
@@ -119,7 +119,7 @@ def test_held_out_operator_is_the_whole_one_without_some_pixels(shape):
     code = sg.codes.random(shots=2, shape=imager.code_shape, seed=0)
     H = imager.operator(code)
     kept = (np.random.default_rng(0).random(H.out_shape) > 0.3).astype(np.float32)
-    A = Kept(H, kept)
+    A = Weighted(H, kept)
     assert dot_test(A) < 1e-12
     assert dot_test(A, np.float32) < 1e-5
     dense = np.zeros((np.prod(A.out_shape), np.prod(shape)))

@@ -102,7 +102,7 @@ def _write_page(
         with read_journal(out) as journal:
             for name, (study, held) in figures.items():
                 records = holdings.gather(study, held.scene, held.quick, journal)
-                output.write_bytes(markdown.parent / name, holdings.figure_png(study, records, dpi=110))
+                output.write_bytes(markdown.parent / name, holdings.figure_png(study, records, dpi=100))
     output.write_bytes(markdown, text.encode())
 
 

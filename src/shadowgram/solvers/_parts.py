@@ -1,4 +1,4 @@
-"""Parts of a measurement as operators of their own: some elements of the detector, or some shots."""
+"""Parts of a measurement as operators of their own: weighted elements of the detector, or some of them, or some shots."""
 
 from __future__ import annotations
 
@@ -11,40 +11,40 @@ from shadowgram.operators.structure import shot_gram
 
 
 @dataclass(frozen=True, eq=False)
-class Kept(LinearOperator):
-    """Some elements of the detector; the others read 0.
+class Weighted(LinearOperator):
+    """Every element of a measurement times a weight; with booleans, only some of the elements, and 0 in the others' places.
 
     Parameters
     ----------
-    of : operator (band, y, x) → (shot, y, x).
-    elements : (shot, y, x) booleans, which ones are kept.
+    of : operator, such as (band, y, x) → (shot, y, x).
+    weights : numbers or booleans, of its `out_shape`.
     """
 
     of: LinearOperator
-    elements: np.ndarray
+    weights: np.ndarray
 
     @property
     def in_shape(self) -> Shape:
-        """(band, y, x) of the cube."""
+        """Shape of what is measured, such as (band, y, x)."""
         return self.of.in_shape
 
     @property
     def out_shape(self) -> Shape:
-        """(shot, y, x) of the snapshots, all of them."""
+        """Shape of the measurement, such as (shot, y, x)."""
         return self.of.out_shape
 
     def _forward(self, x: np.ndarray, out: np.ndarray) -> None:
         self.of._forward(x, out)
-        out *= self.elements
+        out *= self.weights
 
     def _adjoint(self, y: np.ndarray, out: np.ndarray) -> None:
-        self.of._adjoint(np.ascontiguousarray(y * self.elements, y.dtype), out)
+        self.of._adjoint(np.ascontiguousarray(y * self.weights, y.dtype), out)
 
 
 @shot_gram.register
-def _(A: Kept) -> np.ndarray | None:
+def _(A: Weighted) -> np.ndarray | None:
     gram = shot_gram(A.of)
-    return None if gram is None else gram * A.elements[:, None] * A.elements[None]
+    return None if gram is None else gram * A.weights[:, None] * A.weights[None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from shadowgram.priors.denoiser import LEAST_SIDE, Denoiser, get
 
 from ._eigen_run import EigenRun
 from ._eigen_splitting import TV_ITERATIONS
-from ._parts import Kept
+from ._parts import Weighted
 from .eigen_tv import check_settings
 from .solution import Callback, Solution, solve
 
@@ -116,7 +116,7 @@ def _harms(spec: EigenPnP, denoise: Denoiser, full: EigenRun, y: np.ndarray) -> 
         return np.square((H.forward(estimate) - y)[held_out], dtype=np.float64)
 
     snapshots = np.where(kept, y, 0).astype(dtype)
-    trial = EigenRun("EigenPnP", Kept(H, kept), snapshots, spec.noise, spec.nonnegative)
+    trial = EigenRun("EigenPnP", Weighted(H, kept), snapshots, spec.noise, spec.nonnegative)
     if trial.state is None:
         return True
     trial.minimise(spec.max_iter, spec.tol)

@@ -9,7 +9,7 @@ import numpy as np
 
 from shadowgram.operators.base import LinearOperator
 
-from ._parts import Kept
+from ._parts import Weighted
 from .solution import Solution, check_problem, solve
 
 
@@ -122,7 +122,7 @@ def _estimates(
             if callback is not None:
                 callback(sample, iteration)
 
-        found = solve(spec, Kept(H, half), np.where(half, y, 0).astype(y.dtype), told)
+        found = solve(spec, Weighted(H, half), np.where(half, y, 0).astype(y.dtype), told)
         if found.interrupted:
             raise KeyboardInterrupt
         yield found.x

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shadowgram.operators.base import LinearOperator
-from shadowgram.solvers._parts import Kept
+from shadowgram.solvers._parts import Weighted
 from shadowgram.solvers.eigen_tv import EigenTV
 from shadowgram.solvers.solution import solve
 
@@ -193,7 +193,7 @@ def _look(
     """Error of predicting held-out pixels; the step that predicts them better, and its standard errors."""
     code = np.clip(capture.codes(model), 0, None)
     H = capture.operator(code)
-    cube = solve(EigenTV(max_iter=ITERATIONS), Kept(H, kept), capture.snapshots * kept).x
+    cube = solve(EigenTV(max_iter=ITERATIONS), Weighted(H, kept), capture.snapshots * kept).x
     out = kept == 0
     seen = H.forward(cube)
     rest = (capture.snapshots - seen)[out].astype(np.float64)

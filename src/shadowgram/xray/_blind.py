@@ -14,9 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from shadowgram.operators.base import LinearOperator, Shape
+from shadowgram.operators.base import LinearOperator
 from shadowgram.priors.denoiser import Denoiser
 from shadowgram.solvers._admm_data import DataStep, data_step
+from shadowgram.solvers._parts import Weighted
 
 Floats = NDArray[np.float64]
 
@@ -27,31 +28,6 @@ _ORIENTATIONS = 8
 _ACCURACY = 1e-3  # of conjugate gradients, relative to the residual
 
 Callback = Callable[[int, dict[str, float]], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Weighted(LinearOperator):
-    """Rows of an operator times a factor each."""
-
-    of: LinearOperator
-    factors: np.ndarray
-
-    @property
-    def in_shape(self) -> Shape:
-        """(y, x) of the image."""
-        return self.of.in_shape
-
-    @property
-    def out_shape(self) -> Shape:
-        """(shot,) of the counts."""
-        return self.of.out_shape
-
-    def _forward(self, x: np.ndarray, out: np.ndarray) -> None:
-        self.of._forward(x, out)
-        out *= self.factors
-
-    def _adjoint(self, y: np.ndarray, out: np.ndarray) -> None:
-        self.of._adjoint(np.ascontiguousarray(y * self.factors, y.dtype), out)
 
 
 @dataclass(kw_only=True, eq=False)

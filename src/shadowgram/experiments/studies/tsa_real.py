@@ -17,7 +17,7 @@ import shadowgram as sg
 from shadowgram.experiments import data_folder
 from shadowgram.experiments.source import SceneSource
 from shadowgram.experiments.study import Claim, Record, Result, Study
-from shadowgram.solvers._parts import Kept
+from shadowgram.solvers._parts import Weighted
 
 from . import _common as common
 
@@ -104,7 +104,7 @@ def _reconstructed(
     H: LinearOperator, y: np.ndarray, kept: np.ndarray, iterations: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Cube from the kept pixels, and what it leaves of all."""
-    cube = sg.solve(sg.EigenTV(max_iter=iterations), Kept(H, kept), y * kept).x
+    cube = sg.solve(sg.EigenTV(max_iter=iterations), Weighted(H, kept), y * kept).x
     return cube, y - H.forward(cube)
 
 
